@@ -20,13 +20,13 @@ PATIENCE_S = 60.0  # for landing, ending the nodes and the report, after an inte
 STALL_LIMIT_MS = 250.0  # half of what the loss ladder waits before it lands
 
 
-def start(folder, *arguments, command=(sys.executable,), **options):
+def start(folder, *arguments, command=(sys.executable,), module="risc_experiments.fly", **options):
     """Start a flight; its output goes to a file in the folder. command: what runs Python.  options: of Popen."""
     folder.mkdir(parents=True, exist_ok=True)
     options.setdefault("env", dict(os.environ, RISC_MAAP_ROOT=str(ROOT)))
     with (folder / "out.txt").open("w") as out:
         return subprocess.Popen(
-            [*command, "-m", "risc_experiments.fly", "--out", str(folder), *arguments],
+            [*command, "-m", module, "--out", str(folder), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=subprocess.STDOUT,

@@ -27,7 +27,7 @@ ARGUMENTS = re.compile(r"roslaunch (?:([a-z_]+) )?([\w/.-]+\.launch)((?: +[a-z_0
 
 OURS_ONLY_IN_USE = {  # made by programs, or by a build
     *("flight.yaml", "parameters.yaml", "fleet.yaml", "report.html", "devel/coop.sh", "install/coop.sh", "coop.sh"),
-    *("setup.sh", "setup.bash"),
+    *("setup.sh", "setup.bash", "faults.yaml", "soak.md"),
 }
 NOT_OURS = {  # of Debian, of others; of the original release
     *(

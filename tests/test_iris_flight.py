@@ -11,6 +11,7 @@ import pytest
 from flying import end, finish, fly, left_behind, start, wait_for_line
 
 from data_extraction.bags import Bag
+from risc_control.vehicles import FlightState
 from risc_maap_msgs.msg import Safety
 
 pytestmark = pytest.mark.alone
@@ -81,6 +82,24 @@ def test_the_figures_of_chapter_6(tmp_path):
         counts = bag.topics
     assert all(counts["/iris1/" + topic] > 20 for topic in ("controls", "ppm_status", "apm/state", "apm/status"))
     assert left_behind(folder) == []
+
+
+@pytest.mark.release
+def test_its_pilot_takes_over_and_gives_it_back(tmp_path):
+    code, output, _, folder = fly(tmp_path, "iris", "--duration", "10", "--fault", "pilot_takeover:6,iris1@2")
+    assert code == 1 and left_behind(folder) == [], output
+    told, modes = [], set()
+    with Bag(folder / "flight.bag") as bag:
+        for topic, receipt_s, message in bag.messages(["/iris1/vehicle_status", "/iris1/apm/state"]):
+            if topic.endswith("state"):
+                modes.add(message.mode)
+            else:
+                told.append((receipt_s, message.state))
+    states = [state for _, state in told]
+    assert FlightState.PILOT in states and states[-1] == FlightState.LANDED, output
+    assert modes == {"STABILIZE"}, "nobody has taken it from its pilot"
+    lab = json.loads((folder / "virtual_lab.json").read_text())
+    assert (lab["vehicles"]["iris1"]["phase"], lab["crashes"]) == ("landed", [])
 
 
 @pytest.mark.release

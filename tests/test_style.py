@@ -119,7 +119,11 @@ OTHER_NAMES = {  # module or C++ library -> what package.xml calls it, where tha
     "cv2": "opencv",
     "camera_info_manager": "camera_info_manager_py",
     "nlohmann": "nlohmann-json",
+    "PIL": "pil",
+    "ruamel": "ruamel.yaml",
 }
+# Of requirements.txt, for which rosdep has no name: package.xml cannot name them.
+WITHOUT_ROSDEP_NAME = {"msgspec", "pymavlink", "rosbags", "viser"}
 
 
 def imports(path):
@@ -174,16 +178,22 @@ def test_every_import_is_there():
 
 @pytest.mark.parametrize("manifest", MANIFESTS, ids=lambda path: path.parent.name)
 def test_a_package_depends_on_what_it_imports_and_on_nothing_else(manifest):
-    name, debian = manifest.parent.name, (ROOT / "apt-packages.txt").read_text(encoding="utf-8").split()
+    name = manifest.parent.name
+    requirements = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    known = {
+        "python3-" + item
+        for item in {"opencv", "pil", *re.findall(r"(?m)^([\w.-]+)==", requirements)} - WITHOUT_ROSDEP_NAME
+    }
+    known |= set((ROOT / "apt-packages.txt").read_text(encoding="utf-8").split())
 
     def package_of(module):
-        """None for Python's own modules and those of requirements.txt."""
+        """None for Python's own modules, and libraries that rosdep has no name for."""
         python = "python3-" + OTHER_NAMES.get(module, module)
         if module in PACKAGE_OF:
             return PACKAGE_OF[module].name
         if pathlib.Path("/usr/share", module, "package.xml").exists():
             return module
-        return python if python in debian else None
+        return python if python in known else None
 
     tree = xml.etree.ElementTree.parse(manifest)
     declared = {item.text: item.tag for item in tree.iter() if item.tag.endswith("depend")}

@@ -44,6 +44,7 @@ from risc_maap_msgs.msg import (
     Faults,
     MocapStatus,
     OperatorState,
+    PpmStatus,
     Safety,
     Told,
     TrajectoryPhases,
@@ -53,6 +54,7 @@ from risc_maap_msgs.msg import (
     VehicleStatus,
 )
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
+from roscopter.msg import State
 
 T0_S = 1000.0
 NAN = float("nan")
@@ -338,6 +340,22 @@ def test_warnings_are_left_out_before_phases(play):
 def test_a_vehicle_without_a_namespace_is_not_called_after_its_topics(play):
     assert [event.source for event in play(EventCollector(), [("/ardrone/land", Empty(), T0_S)]).result()] == [
         "vehicle"
+    ]
+
+
+def test_events_of_an_iris_are_its_autopilots_and_its_boards(play):
+    rows = [("/iris1/apm/state", State(mode="STABILIZE"), T0_S + k) for k in range(3)]
+    rows += [("/iris1/ppm_status", PpmStatus(state=PpmStatus.FLYING), T0_S + 3.0 + 0.1 * k) for k in range(5)]
+    rows += [("/iris1/apm/state", State(mode="STABILIZE", armed=True), T0_S + 4.0)]
+    rows += [("/iris1/ppm_status", PpmStatus(state=PpmStatus.FAILSAFE), T0_S + 5.0)]
+    rows += [("/iris1/apm/state", State(mode="LAND", armed=True), T0_S + 5.5)]
+    events = play(EventCollector(), rows).result()
+    assert [(event.source, event.text) for event in events] == [
+        ("iris1", "autopilot: STABILIZE, disarmed"),
+        ("iris1", "PPM of the transmitter's board: follows commands"),
+        ("iris1", "autopilot: STABILIZE, armed"),
+        ("iris1", "PPM of the transmitter's board: failsafe"),
+        ("iris1", "autopilot: LAND, armed"),
     ]
 
 

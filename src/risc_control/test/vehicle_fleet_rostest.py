@@ -126,6 +126,21 @@ class VehicleFleetTest(unittest.TestCase):
         world.wait("risc3", "safety", lambda m: (m.level, m.rule) == (Safety.LAND, Safety.SEPARATION))
         self.assertEqual([m for m in world.messages("risc1", "safety") if m.level != Safety.OK], [])
 
+    def test_5_a_wide_vehicle_that_another_node_holds(self):
+        """Its neighbour holds as soon as that node says so; it is far enough from one that flies on or makes room."""
+        world, limits = self.world, SafetyLimits()
+        told = rospy.Publisher("/iris1/safety", Safety, queue_size=1, latch=True)
+        world.fly_by_controls()
+        world.passers["IRIS"] = world.y_m["risc3"] + 0.5 * (limits.separation_m + limits.separation_stray_m) + 0.2
+        for level, rule in ((Safety.OK, Safety.NONE), (Safety.HOLD, Safety.SEPARATION)):
+            told.publish(Safety(level=level, rule=rule))
+            self.check_that_others_fly_on()
+            self.assertEqual([m for m in world.messages("risc3", "safety") if m.level != Safety.OK], [])
+        told.publish(Safety(level=Safety.HOLD, rule=Safety.CONTROLS))
+        world.wait("risc3", "safety", lambda m: m.level == Safety.HOLD and "IRIS, which holds" in m.reason)
+        self.assertEqual([m for m in world.messages("risc1", "safety") if m.level != Safety.OK], [])
+        told.unregister()
+
     def test_5_a_vehicle_that_leaves_its_course(self):
         """Its neighbour lands, and so does it itself; the third flies on."""
         world = self.world

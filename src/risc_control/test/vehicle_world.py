@@ -177,7 +177,7 @@ class World:
     def wait_for_state(self, vehicle, state):
         """Until the vehicle's node knows by navdata that the vehicle is in this state."""
         reports, template = self._reports, self.templates[vehicle]
-        wait_for(lambda: reports.get(template, {}).get("flight state (navdata)") == str(state), "state of %s" % vehicle)
+        wait_for(lambda: reports.get(template, {}).get("flight state") == str(state), "state of %s" % vehicle)
 
     def let_pass(self, vehicle, statuses=15):
         """Half a second of the node's own time: it reports its mode 30 times a second at most."""

@@ -19,6 +19,7 @@ from std_msgs.msg import Header
 
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
+from risc_lab.ros.heard import publishers_heard
 from risc_maap_msgs.msg import BodyPoses, EstimatorStatus
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
@@ -45,7 +46,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
         cls.sent_to_s = 100.0 + math.floor(rospy.get_time())
         cls.newest = None  # stamp
         deadline_s = time.monotonic() + PATIENCE_S
-        while not (cls.pub.get_num_connections() and all(s.get_num_connections() for s in cls.subscribers)):
+        while not (cls.pub.get_num_connections() and all(map(publishers_heard, cls.subscribers))):
             if time.monotonic() > deadline_s:
                 raise AssertionError("the node did not connect within %g s" % PATIENCE_S)
             time.sleep(0.02)

@@ -9,6 +9,7 @@ import pytest
 from mocap_frames import pack_bodies
 
 from risc_estimation.filters import REGISTRY, Status, VelocityFilter, make_filter
+from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
@@ -37,7 +38,7 @@ def frame(*places, name="fluffy_II"):
 
 
 def make(name, vehicles=()):
-    return StatesEstimator(TEMPLATES, None, vehicles, make_filter(name))
+    return StatesEstimator(TEMPLATES, PoseFitParams(frozen_frames=0), vehicles, make_filter(name))
 
 
 def test_the_registry_holds_them_all_and_each_has_its_settings():

@@ -1,15 +1,16 @@
 """From markers to states: signs, exact recovery, visibility rules, identity by name, bad data."""
 
+import functools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mocap_frames import pack_bodies
 
-from risc_estimation import pose_fit
+from risc_estimation import pose_fit, state_estimator
 from risc_estimation.filters import least_squares, make_filter
 from risc_estimation.pose_fit import PoseFitParams
-from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.states import S
@@ -18,6 +19,8 @@ DT_S = 0.005
 TEMPLATES = load_templates()
 HULL = TEMPLATES["fluffy_II"].markers_m
 SENTINEL_M = 9999.999
+# Markers are exact here: one that is still is no frozen picture.
+StatesEstimator = functools.partial(state_estimator.StatesEstimator, params=PoseFitParams(frozen_frames=0))
 
 
 def markers_at(position, phi=0.0, theta=0.0, psi=0.0, hull=HULL):
@@ -453,10 +456,35 @@ def test_three_corners_swapped_into_an_upside_down_square():
 
 def test_markers_collapsed_on_a_line_are_refused():
     line = np.outer(np.arange(4.0) * 0.001, [1, 0, 0]) + [0, 0, 1]
-    params = PoseFitParams(residual_max_m=10.0)
-    estimator = StatesEstimator(TEMPLATES, params)
+    estimator = StatesEstimator(TEMPLATES, params=PoseFitParams(residual_max_m=10.0, frozen_frames=0))
     assert not feed(estimator, [{"fluffy_II": line}] * 30)[-1].visible.any()
     assert estimator.counts.collinear == 30
+
+
+def test_a_picture_that_stands_still_is_none():
+    """Of one vehicle of two, of one marker; noise far below that of cameras is enough for a vehicle that is still."""
+    rng, exact = np.random.default_rng(1), {"fluffy_II": markers_at((0, 0, 1)), "Raven": markers_at((1, 0, 1))}
+    frames = [{name: m + 1e-6 * rng.standard_normal(m.shape) for name, m in exact.items()} for _ in range(60)]
+    watching, trusting = state_estimator.StatesEstimator(TEMPLATES), StatesEstimator(TEMPLATES)
+    assert all(estimate.visible.all() for estimate in feed(watching, frames)[20:])
+    frozen = [frame | {"Raven": frames[-1]["Raven"]} for frame in frames[:5]]
+    seen = [estimate.visible.tolist() for estimate in feed(watching, frozen, 100.3)]
+    assert seen == [[True, True]] + 4 * [[True, False]], "the third frame with the same picture"
+    assert watching.counts.markers_frozen == 4 * len(HULL)
+    assert feed(watching, frames[:1], 100.33)[0].visible.all(), "as soon as it moves"
+    feed(trusting, frames)
+    assert all(estimate.visible.all() for estimate in feed(trusting, frozen, 100.3))
+
+    one = [frame["fluffy_II"] + [0.002 * k, 0, 0] for k, frame in enumerate(frames)]
+    for markers in one[3:]:
+        markers[1] = one[3][1]
+    off_m = []
+    for estimator in watching, trusting:
+        for k, markers in enumerate(one[:12]):
+            see(estimator, 102.0 + k * DT_S, {"fluffy_II": markers})
+        off_m.append(abs(estimator.poses.position_m[0, 0] - 0.022))
+    assert off_m[0] < 1e-5 and off_m[1] > 2e-3
+    assert watching.counts.markers_frozen == 4 * len(HULL) + 7
 
 
 def test_more_and_fewer_markers_than_the_template():

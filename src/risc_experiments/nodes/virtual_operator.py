@@ -51,6 +51,7 @@ class VirtualOperator:
         self._diagnostics = make_updater("none")
         self._diagnostics.add("virtual operator", self._diagnose)
         rospy.Service("~land", Trigger, self._on_land)
+        rospy.Service("~fly_again", Trigger, self._on_fly_again)
         paced = partial(PacedSubscriber, rate_hz=LOOK_RATE_HZ)
         for vehicle in flown:
             name, watched = vehicle.namespace, self._operator.vehicles[vehicle.namespace]
@@ -99,6 +100,12 @@ class VirtualOperator:
         with self._lock:
             self._operator.request_landing("landing was requested", time.monotonic())
         return TriggerResponse(True, "landing all vehicles")
+
+    def _on_fly_again(self, _request):
+        with self._lock:
+            problem = self._operator.fly_again(time.monotonic())
+            self._say(self._state())
+        return TriggerResponse(not problem, problem or "flying again")
 
     def _on_tick(self):
         with self._lock:
@@ -178,7 +185,7 @@ class VirtualOperator:
             self._phase.publish(state_message(self._state()))  # a sign of life
             status.summary(2 if self._operator.result == OperatorResult.FAILED else 0, self._operator.phase_text)
             for name, watched in self._operator.vehicles.items():
-                status.add("%s flight state (navdata)" % name, watched.flight_state)
+                status.add("%s flight state" % name, watched.flight_state)
                 status.add("%s mode" % name, "autonomous" if watched.autonomous else "manual")
                 phase = watched.trajectory_phase
                 status.add("%s trajectory phase" % name, "none yet" if phase is None else phase.name.lower())

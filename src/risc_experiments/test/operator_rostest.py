@@ -165,6 +165,17 @@ class OperatorTest(unittest.TestCase):
         self.assertIn(order, (expected, expected[1:]))  # the first may be over before the topic is connected
         self.assertEqual(set(world.state.values()), {LANDED})
 
+        world.reset()
+        fly_again = rospy.ServiceProxy("/operator/fly_again", Trigger)
+        self.assertTrue(fly_again().success)
+        wait_for(lambda: world.phases and not world.phases[-1].result, "that it is running again")
+        answer = fly_again()
+        self.assertFalse(answer.success, "one flight after the other")
+        self.assertIn("under way", answer.message)
+        wait_for(lambda: world.results, "the second result; phases: %s" % world.phases)
+        self.assertEqual([result.result for result in world.results], [OperatorState.OK])
+        self.assertEqual(set(world.state.values()), {LANDED})
+
     def test_2_request_to_land(self):
         world = self.world
         self.start(duration_s=100.0)

@@ -4,11 +4,13 @@ And none that does not lie is suspected.
 """
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
 from risc_control.plausibility import Plausibility
+from risc_estimation.pose_fit import PoseFitParams
 from risc_experiments import offline
 from risc_experiments.offline import Flight, fly
 from risc_simulator.faults import FaultEvent
@@ -60,7 +62,8 @@ def freeze(one, other, first):
         (flip, "yaw", "iris"),
         (exchange, "exchanged their names", "ardrone"),
         (exchange, "exchanged their names", "iris"),
-        (freeze, "repeats", "ardrone"),
+        (freeze, "ms old", "ardrone"),
+        (freeze, "ms old", "iris"),
     ],
 )
 def test_a_lie_that_lasts_lands_the_vehicle(lie, words, kind, monkeypatch):
@@ -70,6 +73,7 @@ def test_a_lie_that_lasts_lands_the_vehicle(lie, words, kind, monkeypatch):
     assert result.landed[0], result.safety
     said = [text for _, name, text in result.safety if name == result.names[0]]
     assert any(text.startswith("hold") for text in said) and any(words in text for text in said), said
+    monkeypatch.setattr(offline, "PoseFitParams", partial(PoseFitParams, frozen_frames=0))
     with pytest.raises(RuntimeError, match="net|collided|floor"):
         fly(dataclasses.replace(flight, node={"ladder": False}))
 

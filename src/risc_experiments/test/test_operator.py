@@ -172,7 +172,7 @@ def test_duration_counts_from_when_all_are_on_course():
     ("spoil", "text"),
     [
         (lambda v: setattr(v, "seen", False), "risc2 not seen by mocap"),
-        (lambda v: setattr(v, "connected", False), "risc2 no navdata"),
+        (lambda v: setattr(v, "connected", False), "risc2 no report"),
         (lambda v: setattr(v, "state", FlightState.UNKNOWN), "risc2 does not report landed (state 0)"),
     ],
 )
@@ -429,7 +429,7 @@ def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
     flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
     vehicle.connected = True
     flight.finish()
-    assert flight.operator.reason == "risc2 silent: no navdata for 2 s"
+    assert flight.operator.reason == "risc2 silent: no report for 2 s"
     assert vehicle.state == FlightState.LANDED
     assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when nobody knows whether it stands, the button may mean take-off"
 
@@ -524,6 +524,45 @@ def test_no_flight_outlasts_the_time_limit(stuck, bumper_steps):
     assert lasted_s <= limit_s + len(Phase) * STEP_S
     if not fails or stuck == "land":
         assert lasted_s > limit_s - 6.0
+
+
+def test_it_flies_again_and_again_with_all_vehicles():
+    flight = Flight()
+    assert "under way (waiting" in flight.operator.fly_again(flight.now_s)
+    flight.finish()
+    for vehicle in flight.vehicles.values():
+        vehicle.safety = (FailsafeLevel.LAND, "battery")
+    assert flight.operator.fly_again(flight.now_s) == ""
+    flight.run(lambda: "loss ladder (battery)" in flight.operator.text)
+    for vehicle in flight.vehicles.values():
+        vehicle.safety = OK
+    flight.on_course()
+    assert (flight.operator.result, flight.operator.reason) == (OperatorResult.RUNNING, "")
+    flight.vehicles["risc2"].land(flight.now_s)
+    flight.finish()
+    assert flight.operator.result == OperatorResult.FAILED and [name for name, *_ in flight.operator.out] == ["risc2"]
+    assert flight.operator.fly_again(flight.now_s) == "" and not flight.operator.out
+    flight.finish()
+    assert (flight.operator.result, flight.operator.flight_failed) == (OperatorResult.OK, False)
+    whole = [Phase.WAITING, Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME, Phase.LAND]
+    assert flight.phases == [*whole, Phase.DONE, *whole, Phase.ABORTED, *whole, Phase.DONE]
+    # the buttons were pressed as in a first flight: no landing by the service
+    assert [vehicle.count(TAKEOFF_LAND) for vehicle in flight.vehicles.values()] == [6, 5, 6]
+    assert not any(vehicle.calls for vehicle in flight.vehicles.values())
+
+
+def test_after_a_flight_that_was_given_up_it_waits_until_all_are_ready():
+    flight = Flight(waiting_timeout=20.0)
+    flight.on_course()
+    flight.vehicles["risc1"].connected = False
+    flight.finish()
+    assert flight.operator.fly_again(flight.now_s) == ""
+    flight.run(Phase.ABORTED)
+    assert "risc1 no navdata" in flight.operator.reason
+    flight.vehicles["risc1"].connected = True
+    assert flight.operator.fly_again(flight.now_s) == ""
+    flight.finish()
+    assert flight.operator.result == OperatorResult.OK
 
 
 def test_bumpers_step_through_the_figures():

@@ -113,7 +113,7 @@ def test_an_outcome_that_is_not_safe_fails_the_flight():
         ([], LANDED, (), False),
         ([fault()], Out(12.0, OutCause.NODE, "lost its joystick node"), (), False),  # a fault ends no node
         ([fault()], Out(40.0, OutCause.OVERDUE, "did not land within 30 s"), (), False),
-        ([fault()], Out(12.0, OutCause.SILENT, "silent: no navdata for 2 s"), (), True),
+        ([fault()], Out(12.0, OutCause.SILENT, "silent: no report for 2 s"), (), True),
     ],
 )
 def test_what_no_fault_explains_fails_the_flight(faults, out, kept_apart, excused):

@@ -216,7 +216,7 @@ def card_of(flights_of):
 
 def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
     """The short version. With the ladder off the same faults of the same seeds must hurt."""
-    options = ("--faults", "freeze,name_exchange,random", "--severities", "severe", "--seeds", "1", "--minutes", "0.5")
+    options = ("--faults", "flip,name_exchange,random", "--severities", "severe", "--seeds", "1", "--minutes", "0.5")
     _, card, _ = run(capsys, tmp_path / "on", *options)
     assert card["totals"]["failed"] == 0 and card["totals"]["events"] >= 3
     assert (card["totals"]["breaches"], card["totals"]["contacts"], card["totals"]["unsafe"]) == (0, 0, 0), card[
@@ -225,4 +225,4 @@ def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
     _, control, said = run(capsys, tmp_path / "off", *options, "--no-ladder")
     assert control["ladder"] is False and control["totals"]["breaches"] + control["totals"]["contacts"] >= 1
     assert control["totals"]["unsafe"] >= 1 and "without the safety ladder" in said.out
-    assert "breach: freeze severe" in said.out and "after the begin of freeze" in said.out
+    assert "breach: flip severe" in said.out and "after the begin of flip" in said.out

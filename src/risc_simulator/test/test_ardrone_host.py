@@ -261,6 +261,20 @@ def fake_lab():
 # ------------------------------------------------------------------ start-up
 
 
+def test_switched_off_and_on_it_knows_nobody_and_is_out_of_its_emergency(lab):
+    lab.fly()
+    lab.vehicle.schedule(lab.now_s, FlightAction.CUT_MOTORS)
+    lab.run(2.0, ref=START, pcmd=HOVER)
+    assert lab.state & EMERGENCY and not lab.vehicle.firmware.lifted
+    lab.vehicle.put_back()
+    lab.host.power_cycle(lab.now_s)
+    lab.run(1.0, ref=START, pcmd=HOVER)
+    assert lab.vehicle.phase is FlightPhase.LANDED, "bit 9 has been set all the time"
+    assert lab.state & BOOTSTRAP and not lab.state & EMERGENCY and not lab.packets, "nobody has asked for navdata"
+    lab.client.sequence = 0
+    lab.fly()
+
+
 def test_fresh_aircraft_sends_exactly_the_published_bootstrap_packet(lab):
     lab.run(0.5)
     lab.client.wake_up()

@@ -15,6 +15,7 @@ from risc_lab.lab import load_fleet
 from risc_lab.lab.yaml_reader import package_file
 from risc_simulator.faults import parse_fault
 from risc_simulator.models.flight import FlightPhase, Setpoint
+from risc_simulator.vehicles.iris.firmware import RcFrame
 from risc_simulator.vehicles.iris.host import system_id
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.wires import Wires
@@ -268,6 +269,25 @@ def test_a_lost_motor_turns_an_iris_over():
     assert max(rolls) > 1.0 and rolls == sorted(rolls) and vehicle.state.motor_pwm[0] > 0
     lab.run(0.5)
     assert [crash.namespace for crash in lab.world.crashes] == ["risc1"]
+
+
+def test_a_pilot_who_takes_over_stops_it_and_stays_whatever_is_sent():
+    lab = Lab(1, kind="iris")
+    vehicle = lab.world.vehicles["risc1"]
+
+    def fly(duration_s):
+        for _ in range(round(duration_s / FRAME_S)):
+            vehicle.schedule(lab.world.time_s, RcFrame((1500, 1450, 1440, 1500)))  # forward, and a little up
+            lab.run(FRAME_S)
+
+    fly(0.8)
+    speed_m_s, height_m = np.linalg.norm(vehicle.state.velocity_m_s), vehicle.height_m
+    lab.add("pilot_takeover:2,risc1")
+    fly(1.9)
+    assert speed_m_s > 0.3 and np.linalg.norm(vehicle.state.velocity_m_s) < 0.3 * speed_m_s
+    assert abs(vehicle.height_m - height_m) < 0.5 and vehicle.firmware.channels_us[1] > 1490
+    fly(0.4)
+    assert vehicle.firmware.channels_us == (1500, 1450, 1440, 1500, 0, 0, 0, 0)
 
 
 def test_gusts_rise_to_their_speed_and_fall_again():

@@ -155,6 +155,24 @@ def test_a_command_takes_effect_after_line_frame_and_radio(flyer):
     assert 0.8 * flyer.vehicle.plant.command_delay_s < delay_s < flyer.vehicle.plant.command_delay_s + 0.035
 
 
+def test_put_back_after_a_fall_it_stands_disarmed_keeps_its_parameters_and_flies_again(flyer):
+    with pytest.raises(ValueError, match="in the air"):
+        flyer.lab.put_back("iris1")
+    flyer.autopilot.parameters.set("LAND_SPEED", 61)
+    flyer.autopilot.set_mode(Mode.LAND)
+    flyer.autopilot.disarm(by_force=True)
+    flyer.run(2.0, {"throttle": -1.0}, until=lambda: not flyer.autopilot.lifted)
+    flyer.lab.put_back("iris1")
+    state = flyer.vehicle.state
+    assert state.position_m.tolist() == [0.0, 0.0, 0.08] and flyer.vehicle.battery_pct == 100.0
+    assert (flyer.autopilot.armed, flyer.autopilot.mode) == (False, Mode.STABILIZE)
+    assert flyer.autopilot.parameters["LAND_SPEED"] == 61 and not flyer.host.mavlink.clients
+    flyer.run(1.0, {"throttle": -1.0})
+    flyer.arm()
+    flyer.run(4.0, {"throttle": flyer.keep})
+    assert flyer.vehicle.phase is FlightPhase.FLYING and abs(flyer.vehicle.height_m - 1.0) < 0.06
+
+
 # ------------------------------------------------------------------ what fails
 
 

@@ -255,6 +255,21 @@ def test_the_markers_of_a_body_are_in_the_mocap_frames(clock):
         lab.close()
 
 
+def test_a_vehicle_that_is_put_back_has_its_body_hang_at_rest_again():
+    lab = VirtualLab(make_fleet(dict(ARDRONE, attached=SPRING)))
+    try:
+        vehicle = lab.world.vehicles["risc1"]
+        at_rest = vehicle.body_state
+        vehicle.fly_at((0.0, 0.5, 2.0))
+        lab.world.step_to(0.5)
+        vehicle.schedule(lab.world.time_s, FlightAction.CUT_MOTORS)
+        lab.world.step_to(3.0)
+        lab.put_back()
+        np.testing.assert_array_equal(vehicle.body_state, at_rest)
+    finally:
+        lab.close()
+
+
 def test_a_fleet_with_a_body_survives_its_file_and_two_of_one_name_are_refused():
     fleet = make_fleet(dict(ARDRONE, attached=SPRING))
     assert fleet.vehicles[0].attached == AttachedBody("toy_spring", "ball")

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
 
 from risc_maap_msgs.msg import Fault, FaultKinds, FaultRecord, Faults, WireFault
-from risc_maap_msgs.srv import InjectFault
+from risc_maap_msgs.srv import InjectFault, PutBack
 from risc_msgs.msg import Cortex
 
 HOST = ("127.213.0.1", 1510)
@@ -156,6 +156,16 @@ class VirtualLabTest(unittest.TestCase):
         self.assertTrue(inject("wind:0.5,risc1", 60.0).success)
         self.wait_until(lambda: [record.name for record in told[-1].faults] == ["wind"], "what is over is told once")
         self.assertTrue(inject("", 0.0).success)
+
+    def test_put_back(self):
+        rospy.wait_for_service("/virtual_lab/put_back", 20.0)
+        put_back = rospy.ServiceProxy("/virtual_lab/put_back", PutBack)
+        answer = put_back("risc9")
+        self.assertFalse(answer.success)
+        self.assertIn("risc1, risc2", answer.message)
+        for which in ("risc2", ""):
+            answer = put_back(which)
+            self.assertTrue(answer.success, answer.message)
 
     def test_faults_are_offered(self):
         kinds = {kind.name: kind for kind in rospy.wait_for_message("/virtual_lab/fault_kinds", FaultKinds, 20.0).kinds}

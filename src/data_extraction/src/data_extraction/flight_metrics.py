@@ -12,6 +12,7 @@ from data_extraction.recording import ON_COURSE, REFERENCES, STATES, TRUTH, Reco
 from data_extraction.report.topics import Collector, vehicle_of
 from data_extraction.samples import Arrivals
 from risc_control.failsafe import FailsafeLevel
+from risc_control.vehicles import adapter_class
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase
@@ -30,7 +31,7 @@ HOPS = {
     "datagram_to_mocap_data": "datagram to /mocap_data",
     "datagram_to_cortex_raw": "datagram to /cortex_raw",
     "datagram_to_controls": "datagram to /controls",
-    "datagram_to_cmd_vel": "datagram to cmd_vel",
+    "datagram_to_cmd_vel": "datagram to the command sent to the vehicle",  # on cmd_vel, of an AR.Drone
 }
 _ANSWERS = ("/mocap_data", STATES, "/controls")
 _POSE = ("x", "y", "z", "psi")
@@ -113,7 +114,9 @@ class FlightCollector(Collector):
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
         self._arrivals = {topic: Arrivals() for topic in _ANSWERS}
         self._commands = defaultdict(Arrivals)  # topic of commands -> of the states that they answer
-        self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
+        vehicles = fleet.vehicles if fleet else laboratory_vehicles()
+        self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
+        self._sent_on = {v.template: "/%s/%s" % (v.namespace, adapter_class(v.vehicle_type).COMMANDS) for v in vehicles}
         self._landed_s = {}  # namespace -> when its ladder began to land it
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
@@ -134,8 +137,8 @@ class FlightCollector(Collector):
         elif topic == "/commands_sent":
             for command in message.commands:
                 if command.answers.sec:
-                    name = "/%s/cmd_vel" % self._namespaces.get(command.name, command.name)
-                    self._commands[name].append(command.answers, seconds(command.sent))
+                    topic = self._sent_on.get(command.name) or "/%s/cmd_vel" % command.name
+                    self._commands[topic].append(command.answers, seconds(command.sent))
         elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
             if message.header.stamp.sec:
                 self._commands[topic].append(message.header.stamp, receipt_s)

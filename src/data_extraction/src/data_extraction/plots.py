@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first
 import numpy as np  # noqa: E402
 from matplotlib.ticker import MultipleLocator  # noqa: E402
 
+from data_extraction.flight_metrics import HOPS  # noqa: E402
 from data_extraction.report.drops import cell_edges  # noqa: E402
 from data_extraction.segments import ANGLES, DESIRED_ANGLES, DESIRED_POSITION, POSITION, VELOCITY_ERROR  # noqa: E402
 from risc_control.failsafe import FailsafeLevel  # noqa: E402
@@ -191,7 +192,7 @@ def latency(flight, title):
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set_yticks([])
         figures = "p50 %.2f ms,  p99 %.2f ms,  max %.1f ms" % (p50, p99, values.max())
-        axes.set_title("%s:  %s" % (hop.replace("_", " "), figures), loc="left")
+        axes.set_title("%s:  %s" % (HOPS[hop], figures), loc="left")
     np.atleast_1d(rows)[-1].set_xlabel("time [ms]    (line: p50, dashed: p99)")
     figure.suptitle(_joined(title, "latency"))
     return figure

@@ -11,6 +11,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 
+from risc_lab.ros.heard import publishers_heard
 from risc_maap_msgs.msg import SerialLink
 
 LIMIT_S = 30.0
@@ -61,7 +62,7 @@ class Node:
         name = self.namespace + "/" + topic
         subscriber = rospy.Subscriber(name, kind, messages.append, queue_size=1000, tcp_nodelay=True)
         self._subscribers.append(subscriber)
-        wait_for(subscriber.get_num_connections, "the node to publish " + topic)
+        wait_for(lambda: publishers_heard(subscriber), "the node to publish " + topic)
         return messages
 
     def publisher(self, topic, kind):

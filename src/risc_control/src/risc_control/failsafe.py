@@ -224,6 +224,7 @@ class SafetyLadder:
     def __init__(self, limits, vehicle_type, now_s):
         """limits: SafetyLimits.  vehicle_type: VehicleType."""
         self.limits = limits
+        self.reports = "navdata"  # what people call the vehicle's reports
         self.state = Freshness("state", limits.clock_tolerance_s)
         self.controls = Freshness("controls", limits.clock_tolerance_s)
         self.suspect = ""  # what the newest state contradicts; "" when nothing
@@ -418,7 +419,8 @@ class SafetyLadder:
             hold = _HOLD, rule, reason, (age_s, hold_s)
         age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
-            reason = "navdata silent for %.1f s" % age_s if self._navdata_s is not None else "no navdata yet"
+            silent = self.reports + " silent for %.1f s"
+            reason = silent % age_s if self._navdata_s is not None else "no %s yet" % self.reports
             return _LAND, Rule.NAVDATA, reason, (age_s, limits.navdata_timeout_s)
         if not autonomous:
             return hold

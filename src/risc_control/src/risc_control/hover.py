@@ -10,12 +10,16 @@ HOLDING is the thesis' "simple PID controller for position hold" by motion captu
 limited acceleration: where an operator's sticks send it, or out of another vehicle's way. It begins with the motion
 that the vehicle has. While a controller flies, nothing here commands.
 
+While the vehicle follows its pilot's transmitter (`FlightState.PILOT`) nothing is ordered; what is sent would bring it
+to a stop. It stays the pilot's until an operator takes it back (`take_back`).
+
 The throttle that hovers is known badly (battery, load, propellers). `ClimbObserver` learns the error in the air,
 whoever flies, and the adapter adds it to every command: it is the integral of this hold, and no change of hands
 changes it.
 """
 
 import math
+from collections import deque
 from enum import Enum, auto
 
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
@@ -34,6 +38,7 @@ WIRE_S = 0.5  # nothing heard of the wire that commands go through: nothing is k
 STANDS_S = 0.3  # it does not sink although it should, for so long: it stands, or
 STUCK_S = 1.5  # where no floor is, its thrust is not ours
 DISARM_AGAIN_S = 0.5
+HAS_PILOT = "its pilot flies it by the transmitter (trainer switch)"
 BLIND_BELOW_M = 0.3  # a landing without states is reckoned to the floor, and so far on
 
 _SPIN_UP_S, _SPIN_UP_FROM, _SPIN_UP_TO = 1.0, 0.2, 0.9  # thrust while it still stands, of the weight
@@ -116,6 +121,8 @@ class Hover:
         """sent: HISTORY of what it was sent.  hold_s: an older state is not flown on.  braking: its Braking."""
         self.phase = Phase.STANDING
         self.reported = None  # FlightState by the vehicle's own word, None before the first
+        self.has_pilot = False  # who flies it by its transmitter
+        self._trims = deque(maxlen=12)  # of the last seconds: newer ones may be learnt from a pilot's throttle
         self.observer = ClimbObserver(vehicle_type, sent)
         self._mass_kg, self._hold_s = vehicle_type.mass_kg, hold_s
         self._own, self._own_s = None, -math.inf  # newest that was seen, or what the model says of it since
@@ -129,7 +136,7 @@ class Hover:
         self._reckoned_m = 0.0  # height above the floor, without states
         self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
         self._integral_m_s2 = [0.0, 0.0]
-        self._commanded_s = -math.inf
+        self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
         flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads what is
         thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled
 
@@ -142,8 +149,18 @@ class Hover:
         state = status.state
         if state == FlightState.UNKNOWN:
             return
+        self.has_pilot = state == FlightState.PILOT
+        if state == FlightState.FLYING:
+            if self.reported == FlightState.PILOT and self.phase is not Phase.LANDING:
+                state = FlightState.PILOT  # until it is taken back
+            else:
+                self._trims.append(self.observer.trim_m_s2)
+        elif self.has_pilot and self.reported != FlightState.PILOT:
+            self.observer.trim_m_s2 = self._trims[0] if self._trims else 0.0
+            if self.phase in (Phase.CLIMBING, Phase.LANDING):
+                self._enter(Phase.HOLDING, now_s)
         if state != self.reported:  # it may have been anywhere meanwhile
-            self._commanded_s = -math.inf
+            self._held_s = -math.inf
         self.reported = state
         if state == FlightState.LANDED:
             if self.phase in _IN_AIR:
@@ -187,6 +204,7 @@ class Hover:
 
     def take_off(self, now_s):
         """Its driver was told to arm it."""
+        self._trims.clear()
         self.observer.trim_m_s2 = 0.0  # another battery, load or propellers; or learnt while something held it
         self._enter(Phase.STARTING, now_s)
 
@@ -197,9 +215,17 @@ class Hover:
             orders.disarm = True  # what told it to may be under way still
             self._enter(Phase.STANDING, now_s)
 
+    def take_back(self):
+        """An operator wants it back from its pilot. Returns whether it takes our commands again."""
+        if not self.has_pilot:
+            self.reported, self._held_s = FlightState.FLYING, -math.inf
+        return not self.has_pilot
+
     def land(self, now_s):
         """Come down; one that is not armed yet does not take off."""
         if self.phase in (Phase.CLIMBING, Phase.HOLDING):
+            if self.reported == FlightState.PILOT:
+                self.take_back()
             self._enter(Phase.LANDING, now_s)
         elif self.phase is Phase.STARTING:
             self._enter(Phase.STANDING, now_s)
@@ -233,8 +259,8 @@ class Hover:
     def flight_state(self, autonomous):
         """FlightState for everybody; None before the first report. autonomous: a controller flies where it may."""
         state, phase = self.reported, self.phase
-        if state is None:
-            return None
+        if state is None or (self.has_pilot and self.airborne):
+            return state
         if phase is Phase.HOLDING:
             if state != FlightState.FLYING:
                 return state
@@ -253,8 +279,10 @@ class Hover:
 
     def must_be_silent(self, now_s):
         """It lands unseen, and by reckoning it is down: who knows better is its own failsafe, which lands or disarms
-        it as soon as nothing is sent.
+        it as soon as nothing is sent. Or its pilot has it, and it is not seen: it is nobody's who gives it back.
         """
+        if self.has_pilot and not self._is_seen(now_s):
+            return True
         return self.phase is Phase.LANDING and not self._is_seen(now_s) and self._reckoned_m < -BLIND_BELOW_M
 
     @property
@@ -272,7 +300,11 @@ class Hover:
         return self.phase is Phase.LANDING and (is_seen or (is_heard and self.lands_itself))
 
     def must_land_itself(self, now_s):
-        """We cannot land it: it is not seen, it does not take our commands, or they do not bring it down."""
+        """We cannot land it: it is not seen, it does not take our commands, or they do not bring it down. What its
+        pilot flies is the pilot's to land.
+        """
+        if self.has_pilot:
+            return False
         stuck = self._still_s is not None and now_s - self._still_s > STUCK_S and not self._stands
         elsewhere = self.reported == FlightState.OTHER_MODE
         return stuck or elsewhere or not self._is_seen(now_s) or self.trouble(now_s) != ""
@@ -282,7 +314,9 @@ class Hover:
     def step(self, now_s, orders):
         """What time brings. orders: vehicle_pilot.Orders."""
         lasts_s = now_s - self._since_s
-        if self.phase is Phase.STARTING and lasts_s > ARMED_WITHIN_S:
+        if self.phase is Phase.STARTING and self.has_pilot:
+            self.refuse(HAS_PILOT, now_s, orders)
+        elif self.phase is Phase.STARTING and lasts_s > ARMED_WITHIN_S:
             self.refuse("it is not armed within %g s" % ARMED_WITHIN_S, now_s, orders)
         elif self.phase is Phase.CLIMBING:
             is_m, place_m = self._own.position_m[2], self._place_m[2]
@@ -308,8 +342,9 @@ class Hover:
         if not self._is_seen(now_s):
             return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0)
         self._reckoned_m = self._height_m()
-        if step_s > _NEW_S:
+        if now_s - self._held_s > _NEW_S or self.has_pilot:
             self._begin()
+        self._held_s = now_s
         spun = (now_s - self._since_s) / _SPIN_UP_S
         if self.phase is Phase.CLIMBING and spun < 1.0:
             self._begin()

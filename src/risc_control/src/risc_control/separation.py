@@ -12,7 +12,8 @@ A vehicle holds when a neighbour
 - is or will be as near as that and has not been seen for `state_land_s`, so that its own ladder lands it,
 - is or will be as near as that and holds. One vehicle of a fleet that stops is in the way of the next, and so on.
   That one holds is seen; where one of the two is wider than an AR.Drone, and the gap between hulls so narrow that this
-  would be late, the node that flies both knows it at once (`tell`).
+  would be late, the nodes of both know it at once (`tell`): each hears the safety topics of the other's vehicles. One
+  that says nothing (an older node, a lost network) is seen.
 
 One that is not seen stays where it was seen last, for `separation_forget_s`, with all that is below, since it comes
 down there; it may also have flown on for a while. A vehicle that stands on the floor makes nobody hold; landing on it

@@ -15,7 +15,7 @@ from risc_control import preflight
 from risc_control.braking import Braking
 from risc_control.failsafe import FailsafeLevel, Rule, SafetyLadder, SafetyLimits
 from risc_control.fence import pushed_m_s2
-from risc_control.hover import HAND_M_S, Hover
+from risc_control.hover import HAND_M_S, HAS_PILOT, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
 from risc_control.vehicles import (
@@ -164,6 +164,7 @@ class VehiclePilot:
             limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
         self.ladder = SafetyLadder(limits, vehicle_type, math.inf if params.Simulation else now_s)
+        self.ladder.reports = self._adapter.REPORTS
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly
@@ -266,8 +267,12 @@ class VehiclePilot:
         before, state = self.flight_state, self._hover.flight_state(self.autonomous)
         self.flight_state, self.airborne = state, self._hover.airborne
         given_back = before == _LANDING and state == FlightState.FLYING  # by whoever ended its own landing
-        if self.autonomous and (given_back or state == FlightState.OTHER_MODE):
-            self._set_mode(False, orders, "the mode of its autopilot was changed")
+        if state == FlightState.PILOT != before:
+            self.ladder.take_over()
+            orders.say("warn", "%s: it receives other sticks than we send" % HAS_PILOT)
+        if self.autonomous and (given_back or state in (FlightState.OTHER_MODE, FlightState.PILOT)):
+            changed = HAS_PILOT if state == FlightState.PILOT else "the mode of its autopilot was changed"
+            self._set_mode(False, orders, changed)
         self._end_on_the_ground(orders)
 
     def _end_on_the_ground(self, orders):
@@ -365,6 +370,8 @@ class VehiclePilot:
         silent = not self.ladder.navdata_is_fresh(now_s)
         if self._ended:
             orders.answer = False, "the vehicle node is ending; it has ordered a landing itself"
+        elif self._has_pilot:
+            orders.answer = False, "%s, who lands it" % HAS_PILOT
         elif self.airborne:
             self._judge(orders, now_s, land=True)
             unsure = ", but the vehicle is silent" if silent else ""
@@ -387,7 +394,9 @@ class VehiclePilot:
         orders.land = True
         if self._hover is not None:
             stands = self.flight_state == FlightState.LANDED and self.ladder.navdata_is_fresh(now_s)
-            orders.land = not stands  # nothing of it would be obeyed, and the next take-off find another mode
+            orders.land = not (
+                stands or self._has_pilot
+            )  # nothing of it would be obeyed, and the next take-off find another mode
             self._hover.land(now_s)
             self._hover.step(now_s, orders)
             self._fly_hover(orders, now_s)
@@ -397,7 +406,9 @@ class VehiclePilot:
         return orders
 
     def needs_landing(self, now_s):
-        """True while the vehicle may be in the air and does not report that it lands."""
+        """True while the vehicle may be in the air, is nobody else's, and does not report that it lands."""
+        if self._has_pilot:
+            return False
         lands = self.flight_state == _LANDING if self._hover is None else self._hover.lands_itself
         return self.airborne and not (lands and self.ladder.navdata_is_fresh(now_s))
 
@@ -413,6 +424,11 @@ class VehiclePilot:
         return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------
+
+    @property
+    def _has_pilot(self):
+        """Somebody else flies it."""
+        return self._hover is not None and self._hover.has_pilot and self.airborne
 
     def _holds(self):
         """The ladder flies; or the controller answers a state that cannot be true, for which nobody waits."""
@@ -514,6 +530,13 @@ class VehiclePilot:
         self._note_hover(orders)
 
     def _toggle(self, orders, now_s):
+        if self._hover is not None and self.flight_state == FlightState.PILOT:
+            if self._hover.take_back():
+                orders.say("info", "taken back from its pilot: held where it is, manual mode")
+                self._note_hover(orders)
+            else:
+                orders.say("warn", "%s: have the switch held first, then press again" % HAS_PILOT)
+            return
         if self._hover is not None and (self.autonomous or self.ladder.verdict.level > _OK):
             self._hover.hold(now_s)
         if self.autonomous:
@@ -567,7 +590,10 @@ class VehiclePilot:
             obeys = hover.obeys_landing(now_s, ladder.navdata_is_fresh(now_s))
             trouble = hover.trouble(now_s) if self.airborne else ""
         needs_navdata = not self._params.Simulation
-        verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, hover is not None, trouble)
+        verdict = ladder.verdict
+        if not self._has_pilot:
+            held = hover is not None
+            verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, held, trouble)
         if verdict is not self._told and verdict != self._told:
             self._told = orders.safety = verdict
             if verdict.level > before.level or verdict.operator:

@@ -17,7 +17,7 @@ from risc_lab.compiled import compiled, record, with_row
 from risc_lab.frames import euler_of_body_in_cortex
 from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
-from risc_lab.settings import NotNegative, Positive, Settings
+from risc_lab.settings import NotNegative, Positive, Settings, between
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,9 @@ class PoseFitParams(Settings):
 
     marker_limit_m: Positive = 100.0  # [m] larger coordinates mean a lost marker (9999.999 m in bags of the original)
     marker_noise_m: NotNegative = 0.002  # [m] 1 sigma of a marker, for the covariances; 0: from each fit's residual
+    # a marker with the very same coordinates in so many frames in a row is lost: its picture stands still; 0 = off, for
+    # exact simulators. Cameras measure a marker anew in each frame, however still it is
+    frozen_frames: between(0, 1000) = 3
     # [m] worst rms distance of the markers from the fitted template; with four or more markers the worst one is left
     # out and the rest tried again
     residual_max_m: Positive = 0.015
@@ -47,7 +50,14 @@ class PoseFitParams(Settings):
         lower_m = np.array([-self.arena_x_m, -self.arena_y_m, self.arena_z_min_m]) - self.arena_margin_m
         upper_m = np.array([self.arena_x_m, self.arena_y_m, self.arena_z_max_m]) + self.arena_margin_m
         cos_tilt_max = math.cos(min(self.tilt_max_rad, math.pi))
-        row = (self.marker_limit_m, self.residual_max_m, self.min_spread_m, cos_tilt_max, lower_m, upper_m)
+        gates = (
+            self.marker_limit_m,
+            self.residual_max_m,
+            self.min_spread_m,
+            cos_tilt_max,
+            self.frozen_frames or math.inf,
+        )
+        row = (*gates, lower_m, upper_m)
         return np.array([row], dtype=LIMITS)
 
     def __post_init__(self):
@@ -59,12 +69,13 @@ class PoseFitParams(Settings):
 
 
 LIMITS = record(
-    "marker_m residual_max_m min_spread_m cos_tilt_max",
+    "marker_m residual_max_m min_spread_m cos_tilt_max frozen_frames",
     ("lower_m", float, (3,)),  # corners of the arena
     ("upper_m", float, (3,)),
 )
 # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
-REFUSALS = record(*[(gate, int) for gate in ("markers_left_out", "misfits", "collinear", "tilted", "outside")])
+_GATES = "markers_left_out", "markers_frozen", "misfits", "collinear", "tilted", "outside"
+REFUSALS = record(*[(gate, int) for gate in _GATES])
 BODY = record(
     ("markers", int),  # of its template
     ("has_attitude", bool),  # not of an attached body
@@ -82,6 +93,7 @@ class _Bodies(NamedTuple):
 
     table: np.ndarray  # (bodies,) BODY
     templates_m: np.ndarray  # (bodies, most markers, 3)
+    newest: np.ndarray  # (bodies, most markers, 4): its coordinates in the newest frame [m], in how many before it, too
     used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
     flags: np.ndarray  # (2, bodies) bool: present, inside
     measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
@@ -183,6 +195,7 @@ class PoseFit:
         self._bodies = _Bodies(
             table=np.zeros(0, dtype=BODY),
             templates_m=np.zeros((0, most, 3)),
+            newest=np.zeros((0, most, 4)),
             used=np.zeros((0, most), dtype=bool),
             flags=np.zeros((2, 0), dtype=bool),
             measured=np.zeros((2, 0, 3)),
@@ -280,7 +293,7 @@ def _with_row(table):
 @compiled
 def _fit_frame(
     stamp_s, markers_m, fixed, marker_visible,
-    table, templates_m, used, flags, measured,
+    table, templates_m, newest, used, flags, measured,
     l_table, l_offsets_m, l_positions_m, l_rows,
 ):  # fmt: skip
     """One frame: updates all tables. Returns how many landmarks are seen.
@@ -288,7 +301,7 @@ def _fit_frame(
     stamp_s [s]; markers_m (markers, 3) [m]; fixed: (1,) FIXED; marker_visible: (most markers,) bool.  After them: the
     fields of _Bodies and of _Landmarks.
     """
-    bodies = _Bodies(table, templates_m, used, flags, measured)
+    bodies = _Bodies(table, templates_m, newest, used, flags, measured)
     limits, refusals = fixed[0].limits, fixed[0].refusals
     for i in range(len(table)):
         flags[0, i] = flags[1, i] = _locate(bodies, i, stamp_s, markers_m, fixed[0])
@@ -317,12 +330,30 @@ def see_markers(markers, limits, visible):
 
 
 @compiled
+def _leave_frozen(newest, markers, limits, used):
+    """Take those out of used (n,) bool that stand still; returns how many. newest: (>= n, 4) of _Bodies."""
+    count = 0
+    for i in range(min(len(used), len(markers))):
+        same = True
+        for axis in range(3):
+            same = same and newest[i, axis] == markers[i, axis]
+            newest[i, axis] = markers[i, axis]
+        newest[i, 3] = newest[i, 3] + 1.0 if same else 0.0
+        if used[i] and newest[i, 3] + 1.0 >= limits.frozen_frames:
+            used[i] = False
+            count += 1
+    return count
+
+
+@compiled
 def _locate(bodies, i, stamp_s, markers_m, fixed):
     """Pose of a body from the markers of this frame; returns whether it is believed."""
     limits, refusals, work, pose = fixed.limits, fixed.refusals, fixed.work, fixed.pose
     body, template = bodies.table[i], bodies.templates_m[i]
     markers, used = markers_m[body.first : body.first + body.count], bodies.used[i, : body.markers]
     count = see_markers(markers, limits, used)
+    frozen = _leave_frozen(bodies.newest[i], markers, limits, used)
+    count, refusals.markers_frozen = count - frozen, refusals.markers_frozen + frozen
     if count < MIN_MARKERS:
         return False
     fit_pose(template, markers, used, work, pose)

@@ -39,6 +39,7 @@ class EstimatorCounts:
     backward_stamps: int = 0  # frames refused: older than the one before, far ahead of it, or not a number
     clock_resets: int = 0  # stamps of a new clock, or after ten seconds of silence: started afresh
     markers_left_out: int = 0  # one marker did not fit and the body was estimated without it
+    markers_frozen: int = 0  # one marker stood still for some frames, and was no measurement any more
     misfits: int = 0  # body refused: residual too large
     collinear: int = 0  # body refused: visible markers on one line
     tilted: int = 0  # body refused: upside down

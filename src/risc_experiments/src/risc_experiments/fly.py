@@ -67,6 +67,14 @@ class FlightError(Exception):
 
 def arguments(argv):
     """Command line -> argparse namespace."""
+    parser = options()
+    args = parser.parse_args(argv)
+    complete(args, parser.error)
+    return args
+
+
+def options():
+    """Parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="maap fly", description="Fly in the virtual lab: take off, fly, come home, land; record and report."
     )
@@ -103,30 +111,33 @@ def arguments(argv):
     add("--faults", type=fault_file, default=(), metavar="FILE.yaml", help="the same from a file: its list `faults`")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
-    args = parser.parse_args(argv)
+    return parser
+
+
+def complete(args, error):
+    """Fill in what depends on other options. error: called with what is wrong with them."""
     demo = args.experiment in BUMPER_STEPS
     args.vehicles = args.vehicles or (1 if demo else 3)
     args.duration = args.duration or (20.0 if demo else 30.0)
     if demo and (args.vehicles != 1 or args.trajectory):
         text = "%s is for one vehicle and flies its own figures: leave out --vehicles and --trajectory"
-        parser.error(text % args.experiment)
+        error(text % args.experiment)
     if demo and args.controller:
-        parser.error("%s is controller and trajectory in one: leave out --controller" % args.experiment)
+        error("%s is controller and trajectory in one: leave out --controller" % args.experiment)
     args.controller = args.controller or CONTROLLER
     try:
         CONTROLLERS.module(args.controller)
-    except ValueError as error:
-        parser.error("--controller: %s" % error)
+    except ValueError as problem:
+        error("--controller: %s" % problem)
     if args.fps is not None and args.experiment != "coop":
-        parser.error("--fps is for coop: the other experiments use no cameras")
+        error("--fps is for coop: the other experiments use no cameras")
     args.faults = (*args.fault, *args.faults)
     del args.fault
     limit_s = course_s(operator_params(args))
     for event in args.faults:
         if not 0.0 <= event.start_s < limit_s:
-            parser.error("--fault: %s does not start while the course is flown, for %g s" % (event, limit_s))
+            error("--fault: %s does not start while the course is flown, for %g s" % (event, limit_s))
     args.estimator = estimator_of(args.controller, args.estimator)
-    return args
 
 
 def fault_file(path):
@@ -152,14 +163,17 @@ def number(least, most=math.inf):
     return parse
 
 
-def prepare_folder(args):
-    """Make the folder of this flight. Returns its path. Raises FlightError when it holds a flight already."""
+def prepare_folder(args, name=None, holds="flight.bag"):
+    """Make the folder of this flight. Returns its path. Raises FlightError when it holds a flight already.
+
+    name: what the folder is called after its date; None: what is flown.  holds: a file of such a folder.
+    """
     if args.out is not None:
-        if (args.out / "flight.bag").exists():
+        if (args.out / holds).exists():
             raise FlightError("%s holds a flight already: choose another --out" % args.out)
         args.out.mkdir(parents=True, exist_ok=True)
         return args.out.resolve()
-    stem = datetime.datetime.now().strftime("%Y%m%d-%H%M%S_") + (args.trajectory or args.experiment)
+    stem = datetime.datetime.now().strftime("%Y%m%d-%H%M%S_") + (name or args.trajectory or args.experiment)
     for suffix in ("", *("-%d" % k for k in range(2, 100))):
         folder = ROOT / "flights" / (stem + suffix)
         try:
@@ -295,7 +309,7 @@ def fly(args, folder, progress, interrupted):
             page = WebPage(free_tcp_port(BROWSER_PORT), progress)
             launch_args["browser_port"] = page.port
         launch = Launch(launch_file, launch_args, folder, master_port, reservation)
-        _wait_for_master(launch, master_port, interrupted)
+        wait_for_master(launch, master_port, interrupted)
         from risc_experiments.ros.program_faults import ProgramFaults  # rospy is to see the environment of this flight
         from risc_experiments.ros.watch import Watch
 
@@ -373,7 +387,8 @@ class WebPage:
             self._progress.say("there was no page of the flight (see roslaunch.log)")
 
 
-def _wait_for_master(launch, port, interrupted):
+def wait_for_master(launch, port, interrupted):
+    """Until it answers. Raises FlightError when it does not, or when interrupted."""
     master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)
     deadline = time.monotonic() + 30.0
     while True:

@@ -36,13 +36,29 @@ def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespa
     if faults is not None and not failure:  # which would name them
         reasons += ["%s %s" % (name, out.reason) for name, out in faults.out.items() if not _may_be_out(name, faults)]
     if faults:
-        reasons += ["fault %s: %s" % (fault.text, fault.outcome) for fault in faults.outcomes if not fault.is_safe]
+        reasons += unsafe(faults)
     for name, vehicle in flight.vehicles.items():
         suffered = bool(faults) and _suffered(namespaces.get(name, name), faults)
         reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena, suffered)]
         if with_cameras and not suffered:
             reasons += ["%s: %s" % (name, reason) for reason in _judge_bearings(name, flight.bearings, limits)]
     return reasons
+
+
+def unsafe(faults):
+    """Yields what is not safe among the outcomes of data_extraction.report.faults.Faults."""
+    yield from ("fault %s: %s" % (fault.text, fault.outcome) for fault in faults.outcomes if not fault.is_safe)
+
+
+def never_began(faults, asked, vehicles):
+    """Why a flight failed in which fewer faults began than were asked for; "": nobody flew any more.
+
+    vehicles: how many there are.
+    """
+    count = asked - len(faults.outcomes)
+    if count <= 0 or len(faults.out) >= vehicles:
+        return ""
+    return "%d of %d faults never began, and vehicles were flying" % (count, asked)
 
 
 def _suffered(namespace, faults):

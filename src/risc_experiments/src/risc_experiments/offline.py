@@ -181,7 +181,7 @@ def fly(flight):
     names = [vehicle.template for vehicle in fleet.vehicles]
     estimator = StatesEstimator(
         templates,
-        PoseFitParams().within(fleet.arena),
+        replace(PoseFitParams().within(fleet.arena), **({} if flight.noise else {"frozen_frames": 0})),
         vehicles=names,
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )

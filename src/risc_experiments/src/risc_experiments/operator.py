@@ -6,6 +6,8 @@ that has fallen silent is asked to land by its service: it may have landed alrea
 
     waiting -> takeoff -> settle -> fly -> home -> land -> done | aborted
 
+After the end it waits; told to (`fly_again`), it begins anew with all vehicles.
+
 Whatever lasts too long, and the request to land, leads to `land`. A vehicle that lands by itself (its loss ladder),
 falls silent or loses its joystick node is noted as failed: it is told to land, again and again until it reports that it
 stands, and is left alone from then on; the others fly on. Times are seconds of a clock that never steps.
@@ -111,10 +113,14 @@ class Watched:
         self.autonomous = False
         self.trajectory_phase = None
         self.safety, self.safety_reason = FailsafeLevel.OK, ""
-        self.failure, self.cause = "", None  # why it is out, in words and as OutCause; "" while it takes part
         self.seen_s = self.reported_s = self.status_s = -math.inf
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
+        self.take_part()
+
+    def take_part(self):
+        """In a flight that begins."""
+        self.failure, self.cause = "", None  # why it is out, in words and as OutCause; "" while it takes part
         self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was told so last
 
     def note_report(self, state, now_s):
@@ -144,9 +150,11 @@ class Watched:
     def not_ready(self, params, now_s):
         """What is missing for a take-off, "" when nothing is."""
         if self.is_silent(params, now_s):
-            return "no navdata (is the driver connected?)"
+            return "no report of the vehicle (is its driver connected?)"
         if self.flight_state != FlightState.LANDED:
             return "does not report landed (state %s)" % self.flight_state
+        if self.safety == FailsafeLevel.LAND:
+            return "is still being landed by its loss ladder (%s)" % self.safety_reason
         if now_s - self.status_s > params.report_timeout:
             return "no controller_status (is the joystick node running?)"
         if now_s - self.seen_s > params.seen_timeout:
@@ -164,17 +172,29 @@ class Operator:
 
     def __init__(self, vehicles, params, now_s, go_home, land):
         self.vehicles = {name: Watched() for name in vehicles}
+        self._params, self._call_home, self._call_land = params, go_home, land
+        self._begin(now_s)
+
+    def _begin(self, now_s):
         self.phase = Phase.WAITING
         self.text = ""  # detail of the phase
         self.result, self.reason = OperatorResult.RUNNING, ""  # reason: why it failed
         self.flight_failed = False  # as a whole, beside what single vehicles did
-        self._params, self._call_home, self._call_land = params, go_home, land
         self._since_s = now_s  # begin of the phase
         self._ready_since_s = None
         self._course_since_s = None
         self._step_since_s = None
         self._steps_left = 0
         self._failure = ""  # why it did
+
+    def fly_again(self, now_s):
+        """Begin another flight, with all vehicles. Returns why not; "" when it begins."""
+        if not self.finished:
+            return "a flight is under way (%s)" % self.phase_text
+        for watched in self.vehicles.values():
+            watched.take_part()
+        self._begin(now_s)
+        return ""
 
     def request_landing(self, reason, now_s):
         """Land everything now; the flight counts as failed."""
@@ -350,7 +370,7 @@ class Operator:
             elif started and w.flight_state in (FlightState.LANDED, FlightState.LANDING):
                 w.leave(OutCause.LANDED, "landed by itself")
             elif w.is_silent(self._params, now_s):
-                w.leave(OutCause.SILENT, "silent: no navdata for %g s" % limit_s)
+                w.leave(OutCause.SILENT, "silent: no report for %g s" % limit_s)
             elif now_s - w.status_s > limit_s:
                 w.leave(OutCause.NODE, "lost its joystick node: no controller_status for %g s" % limit_s)
             elif flew and not w.autonomous and now_s - w.toggle_s > _TOGGLE_AGAIN_S:

@@ -10,7 +10,7 @@ from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
 from risc_experiments.headroom import verdict
-from risc_experiments.judge import Limits, judge
+from risc_experiments.judge import Limits, judge, never_began
 from risc_lab.lab import load_fleet
 from risc_simulator.models.mocap_cameras import CameraParams
 
@@ -54,8 +54,8 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
         artefacts["plots"] = [str(picture) for picture in pictures]
         namespaces = {vehicle.template: vehicle.namespace for vehicle in material.origin.fleet.vehicles}
         reasons = judge(flight, failure, None, args.experiment in WITH_CAMERAS, faults, namespaces)
-        if not failure and unbegun > 0 and len(faults.out) < len(namespaces):
-            reasons.append("%d of %d faults never began, and vehicles were flying" % (unbegun, len(args.faults)))
+        if not failure:
+            reasons.append(never_began(faults, len(args.faults), len(namespaces)))
     reasons = [reason for reason in reasons if reason]
     if reasons:
         reasons += filter(None, [verdict(result)])

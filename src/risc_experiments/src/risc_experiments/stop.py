@@ -9,7 +9,7 @@ import psutil
 
 from risc_lab.ros.launching import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
 
-FLIGHT = "risc_experiments.fly"
+FLIGHTS = {"risc_experiments.fly": "./maap fly", "risc_experiments.soak": "./maap soak"}  # programs that fly
 VEHICLE_NODE = "controller.py __name:=joystick_controller"  # what flies a vehicle: interrupted, it lands it
 FLIGHT_S = 90.0  # for `./maap fly` to land all, end the nodes and write the report
 LAUNCH_S = 60.0  # for roslaunch and its nodes
@@ -34,9 +34,9 @@ def end_flight(identity):
         for pid in marked_processes(identity):
             send_signal(pid, signal.SIGINT)
         wait_until(lambda: not marked_processes(identity), LANDING_S)
-    elif FLIGHT in _command(program):
+    elif command := next((FLIGHTS[name] for name in FLIGHTS if name in _command(program)), ""):
         send_signal(program, signal.SIGINT)
-        how = "./maap fly was interrupted: it lands the vehicles and reports"
+        how = "%s was interrupted: it lands the vehicles and reports" % command
         wait_until(lambda: not _command(program), FLIGHT_S)
     else:
         send_signal(launch, signal.SIGINT)

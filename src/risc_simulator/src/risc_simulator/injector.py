@@ -102,6 +102,17 @@ class Injector:
         self.changes += 1
         self._acts, self._wake_s = [], math.inf
 
+    def end_on(self, vehicle, now_s):
+        """End what acts on a world.Vehicle itself; what waits, or acts on wires and frames, is left alone."""
+        ended = [act for act in self._acts if act.begun and act.subject is vehicle]
+        for act in ended:
+            act.call("end", self._world.time_s)
+        self._acts = [act for act in self._acts if act not in ended]
+        for act in ended:
+            if act.record not in self.open:
+                self.history[act.record.id - 1] = act.record._replace(ends_s=now_s)
+                self.changes += 1
+
     def step(self, now_s):
         """Begin what is due, end what is over, and let act on vehicles and hosts what acts in every step."""
         if now_s < self._wake_s:

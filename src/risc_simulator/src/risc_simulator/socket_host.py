@@ -276,6 +276,9 @@ class VehicleHost(SocketHost):
     def attach_video(self, video):
         """video: video.server.Station, which serves the video clients, to be told what the configuration says."""
 
+    def power_cycle(self, now_s):
+        """The vehicle, which stands, has been switched off and on at lab time now_s: so has what speaks for it."""
+
     def lose_link(self, duration_s):
         """From now on nothing passes in either direction, for this long; what has been sent before arrives."""
         self.serve(self._now_s)

@@ -43,6 +43,7 @@ from risc_simulator.world import World, look_up
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
 MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
+HANDS_S = 3.0  # that no camera sees a vehicle which is picked up and put back
 LATE_S = 0.1  # a frame that is later than this is late,
 LATE_PATIENCE_S = 0.5  # and when all have been for so long those that are missing are left out
 _LOG = logging.getLogger(__name__)
@@ -312,6 +313,23 @@ class VirtualLab:
         Raises ValueError when it cannot happen here.
         """
         return self.injector.add(event, self._served_s)
+
+    def put_back(self, namespace=""):
+        """Do with a vehicle ("": with all) what a person does between two flights: pick it up, take off it what faults
+        did to it, give it a full battery, switch it off and on, and stand it at its start.
+
+        Raises ValueError, and moves nothing, for an unknown vehicle, for one that flies or whose rotors turn, and where
+        another vehicle is in its place.
+        """
+        known = self.world.vehicles
+        vehicles = [look_up(known, namespace, "vehicle")] if namespace else list(known.values())
+        self.world.check_place_for(vehicles)
+        for vehicle in vehicles:
+            self.injector.end_on(vehicle, self._served_s)
+            vehicle.put_back()
+            self.vehicle_hosts[vehicle.namespace].power_cycle(self._served_s)
+            for body in (vehicle.template, *([vehicle.attached.template] if vehicle.attached else ())):
+                self.hide(body, HANDS_S)
 
     def end_faults(self):
         """End all faults, also those that have not begun."""

@@ -47,6 +47,7 @@ class Vehicle:
         self.firmware = firmware
         self.attached = fleet_vehicle.attached  # AttachedBody or None
         self.battery_was_set = False  # by somebody, from outside
+        self._drawn = plant
         self._world, self._index = world, index
 
     def schedule(self, time_s, action):
@@ -99,6 +100,21 @@ class Vehicle:
     def change_plant(self, **values):
         """Let it be another one from now on, without its on-board logic knowing. values: fields of PlantParams."""
         self._world._change_plant(self._index, values)
+
+    @property
+    def out_of_reach(self):
+        """Why nobody can pick it up now; "" when somebody can."""
+        if self.firmware.lifted:
+            return "%s is in the air (%s)" % (self.namespace, self.phase.value)
+        return "the rotors of %s turn" % self.namespace if self.firmware.motors_on else ""
+
+    def put_back(self):
+        """Pick it up, and stand it where it started: as it was drawn, with a full battery, switched off and on.
+
+        Not when it is out of reach, see `World.check_place_for`.
+        """
+        self._world._put_back(self._index, self._drawn)
+        self.battery_was_set = False
 
     def fly_at(self, position_m, yaw_rad=0.0):
         """Put the vehicle into the air at this place (cortex frame), hovering: a start for offline studies."""
@@ -178,7 +194,7 @@ class World:
         self._x = np.zeros((rows, n))
         self._u = np.zeros((len(U), n))
         self._radius_m = np.array([vehicle_type.radius_m for vehicle_type in types])
-        vehicles = []
+        vehicles, self._starts = [], []  # of each vehicle: north, east, height [m]; heading [rad]
         for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
             virtual = virtual_type(vehicle_type.name)
             markers_m = look_up(templates, fleet_vehicle.template, "mocap template").markers_m
@@ -191,8 +207,8 @@ class World:
                     "%s starts outside the net (|x| <= %.2f m, |y| <= %.2f m): change its start in the "
                     "fleet file" % (fleet_vehicle.namespace, net.half_x_m, net.half_y_m)
                 )
-            self._x[: X.H + 1, i] = x, -y, REST_HEIGHT_M
-            self._x[X.PSI, i] = fleet_vehicle.start.yaw_rad
+            self._starts.append(((x, -y, REST_HEIGHT_M), fleet_vehicle.start.yaw_rad))
+            self._stand(i)
         self.vehicles = {vehicle.namespace: vehicle for vehicle in vehicles}
         self._vehicles = vehicles
         for kind in self._kinds:
@@ -384,6 +400,33 @@ class World:
         north, east, height = place
         position_m = np.array([north, -east, height])
         self.crashes.append(Crash(self.time_s, self._vehicles[i].namespace, position_m, reason, other))
+
+    def _stand(self, i):
+        """Let it stand at its start."""
+        place, self._x[X.PSI, i] = self._starts[i]
+        self._x[: X.H + 1, i] = place
+
+    def check_place_for(self, vehicles):
+        """Raises ValueError when Vehicles cannot be put back: out of reach, or others are in their places."""
+        for reason in (vehicle.out_of_reach for vehicle in vehicles if vehicle.out_of_reach):
+            raise ValueError("%s: land it first" % reason)
+        stay = [other._index for other in self._vehicles if other not in vehicles]
+        for vehicle in vehicles:
+            i = vehicle._index
+            apart_m = np.linalg.norm(self._x[: X.H + 1, stay].T - self._starts[i][0], axis=1)
+            for k in np.flatnonzero(apart_m < self._radius_m[i] + self._radius_m[stay]).tolist():
+                other = self._vehicles[stay[k]].namespace
+                text = "%s is in the place of %s: put it back first, or all at once"
+                raise ValueError(text % (other, vehicle.namespace))
+
+    def _put_back(self, i, plant):
+        self._agenda = [item for item in self._agenda if item[2] != i]  # what it was told
+        heapq.heapify(self._agenda)
+        self._change_plant(i, vars(plant))
+        self._vehicles[i].firmware.power_cycle(self.time_s)
+        self._x[:, i] = 0.0
+        self._stand(i)
+        self._take_over(i)
 
     def _place_in_flight(self, i, position_m, yaw_rad):
         (x, y, z), net = (float(value) for value in position_m), self._net

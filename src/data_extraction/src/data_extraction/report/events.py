@@ -1,5 +1,5 @@
-"""What the operator did and was told: phases, joystick buttons, take-off and landing, modes, warnings of the nodes; and
-what was made to go wrong.
+"""What the operator did and was told: phases, joystick buttons, modes, warnings of the nodes; what the drivers of the
+vehicles' types tell (`risc_control.vehicles.Told`); and what was made to go wrong.
 """
 
 import re
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from data_extraction.report.faults import FAULT_TOPICS, fault_text
 from data_extraction.report.topics import Collector, vehicle_of
+from risc_control.vehicles import told_topics
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
 _AGAIN_S = 3.0  # the same event within so long is the same one, repeated
 _TOGETHER_S = 0.5  # the same event of several vehicles within so long is one of all of them
 _WARN = 4  # rosgraph_msgs/Log
-_ORDERS = {"takeoff": "take-off ordered", "land": "landing ordered", "reset": "reset ordered (emergency)"}
 
 
 @dataclass
@@ -44,9 +44,10 @@ class EventCollector(Collector):
     """Keeps what changed."""
 
     topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout", *FAULT_TOPICS)
-    ends = ("/joy", "/controller_status", *("/" + order for order in _ORDERS))
 
     def __init__(self):
+        self._told = {"/" + topic: told for topic, told in told_topics().items()}
+        self.ends = ("/joy", "/controller_status", *self._told)
         self._events = []
         self._count = 0  # of all, also of those that were not kept
         self._newest = {}  # key -> (its newest event, {source: when that last came})
@@ -85,10 +86,18 @@ class EventCollector(Collector):
                 self._add(receipt_s, source, "joystick button %d" % index, is_minor=True)
             self._pressed[source] = held
         elif last == "controller_status":
-            if message.data or (source, "mode: ") in self._said:  # it begins manual
+            if message.data or (source, "mode: ", "") in self._said:  # it begins manual
                 self._note_change(receipt_s, source, "mode: ", "autonomous" if message.data else "manual")
         else:
-            self._add(receipt_s, vehicle_of(topic, levels=2), _ORDERS[last])  # of RISC/ardrone/land
+            self._note_told(receipt_s, topic, message)
+
+    def _note_told(self, time_s, topic, message):
+        end, told = next(item for item in self._told.items() if ("/" + topic).endswith(item[0]))
+        source, words = vehicle_of(topic, levels=end.count("/")), told.words(message)
+        if told.each:
+            self._add(time_s, source, words)
+        else:
+            self._note_change(time_s, source, "", words, end)
 
     def _note_faults(self, time_s, topic, records):
         for record in records:
@@ -100,9 +109,9 @@ class EventCollector(Collector):
                 source = "virtual lab" if topic.startswith("/virtual_lab/") else "maap fly"
                 self._add(time_s, source, text, (key, word))
 
-    def _note_change(self, time_s, source, what, word):
-        if self._said.get((source, what)) != word:
-            self._said[source, what] = word
+    def _note_change(self, time_s, source, what, word, topic=""):
+        if self._said.get((source, what, topic)) != word:
+            self._said[source, what, topic] = word
             self._add(time_s, source, what + word)
 
     def _add(self, time_s, source, text, key=None, is_minor=False):

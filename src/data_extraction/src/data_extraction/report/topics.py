@@ -1,5 +1,9 @@
 """Whose a topic is, and which type its messages must have: a name alone does not say what is in them."""
 
+import functools
+
+from risc_control.vehicles import told_topics
+
 # How a topic's name ends -> name of its type without the package, which differs between the lab's releases.
 TYPES = {
     "/trajectory": "Trajectories",
@@ -29,9 +33,6 @@ TYPES = {
     "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",
     "/controller_status": "Bool",
-    "/takeoff": "Empty",
-    "/land": "Empty",
-    "/reset": "Empty",
     "/rosout": "Log",
 }
 
@@ -63,7 +64,12 @@ class PerName(Collector):
 
 def expected(topic):
     """Name of the type that a topic must have, without its package; None when any will do."""
-    return next((name for end, name in TYPES.items() if ("/" + topic).endswith(end)), None)
+    return next((name for end, name in _types().items() if ("/" + topic).endswith(end)), None)
+
+
+@functools.cache
+def _types():
+    return TYPES | {"/" + topic: told.message for topic, told in told_topics().items()}
 
 
 def fits(topic, kind):

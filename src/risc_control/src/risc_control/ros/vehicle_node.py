@@ -95,6 +95,7 @@ class VehicleNode:
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
+        self._held_until_s = {}  # {vehicle of another node that holds or lands it: how long that counts}
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
             kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
@@ -112,6 +113,10 @@ class VehicleNode:
         rospy.on_shutdown(self._on_shutdown)
         for vehicle in self._vehicles:
             vehicle.listen()
+        for other in everybody if self._separation.asks else ():
+            if other.template not in self._by_name:
+                heard = partial(self._on_safety_of, other.template)
+                rospy.Subscriber("/%s/safety" % other.namespace, Safety, heard, queue_size=1, tcp_nodelay=True)
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
@@ -165,6 +170,11 @@ class VehicleNode:
             self._tell_sent()
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
+    def _on_safety_of(self, name, message):
+        """What another node does with a vehicle. It counts for a time: that node may have died since."""
+        alone = message.level > Safety.OK and message.rule != Safety.SEPARATION
+        self._held_until_s[name] = time.monotonic() + self.params.separation_forget_s if alone else -math.inf
+
     def _on_states(self, message):
         with self._looking:
             states = self._states.deserialize(message.buff)
@@ -174,7 +184,8 @@ class VehicleNode:
             believed = self._plausibility.look(states.names, states.visible, in_radians, stamp_s)
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             if self._separation.asks:
-                self._separation.tell({name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone})
+                own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
+                self._separation.tell(own | {name for name, s in tuple(self._held_until_s.items()) if now_s < s})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:
@@ -503,7 +514,7 @@ class _Vehicle:
             ("vehicle", self.name),
             ("computer", told.computer),
             ("mode", "autonomous" if autonomous else "manual"),
-            ("flight state (navdata)", "none yet" if flight_state is None else flight_state),
+            ("flight state", "none yet" if flight_state is None else flight_state),
             *((what + " (Hz)", "%.1f" % rate_hz) for what, rate_hz in rates.items()),
             ("age of the state (ms)", "%.0f" % (1e3 * ages_s[0])),
             ("age of the controls (ms)", "%.0f" % (1e3 * ages_s[1])),

@@ -57,6 +57,7 @@ class FlightState(IntEnum):
     LANDING = 8
     LOOPING = 9
     OTHER_MODE = 32  # not of Navdata: its pilot's, in which it takes no commands of ours
+    PILOT = 33  # nor this: it follows the sticks of its pilot's transmitter, not what we send
 
 
 ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
@@ -77,6 +78,14 @@ class Status(NamedTuple):
     velocity_m_s: tuple | None = None  # level: forward, right [m/s]; by its own sensors, None: it measures none
 
 
+class Told(NamedTuple):
+    """What a topic of a type's driver tells who reads a recording."""
+
+    message: str  # name of its type, without the package
+    words: object  # function of a message: what it says
+    each: bool = False  # each is something that happened; else one that says something else than the one before
+
+
 # How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.
 CLIMB_LOOP = record("gain damping_1_s most")
 
@@ -91,6 +100,9 @@ class Adapter:
 
     FLIES_ITSELF = True  # takes off, hovers and lands when told to; False: its vehicle node does all that, see `hover`
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
+    REPORTS = "reports"  # what people call what it says of itself
+    COMMANDS = "commands"  # topic below its namespace on which it is sent its commands
+    TOLD = {}  # {topic below its namespace: Told}
     SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
     NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # of T on /controls, + and -
@@ -187,6 +199,12 @@ REGISTRY = Registry("vehicle_types", __name__)
 def adapter_class(vehicle_type):
     """`Adapter` of a VehicleType. Raises ValueError when it has none."""
     return REGISTRY.module(vehicle_type.name).Adapter
+
+
+def told_topics():
+    """{topic below a vehicle's namespace: Told} of all types."""
+    adapters = (REGISTRY.module(name).Adapter for name in REGISTRY.names())
+    return {topic: told for adapter in adapters for topic, told in adapter.TOLD.items()}
 
 
 def climb_loops(vehicle_types):

@@ -14,7 +14,7 @@ import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
-from risc_control.vehicles import Command, FlightState, Status, climb_command, climb_loops, greatest_command
+from risc_control.vehicles import Command, FlightState, Status, Told, climb_command, climb_loops, greatest_command
 from risc_lab.command_history import ROWS, Channel, CommandHistory, last_by
 from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
@@ -24,6 +24,12 @@ class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`."""
 
     HOLDS_POSITION = True  # by its bottom camera and its height sensor
+    REPORTS, COMMANDS = "navdata", "cmd_vel"
+    TOLD = {
+        "ardrone/takeoff": Told("Empty", lambda _: "take-off ordered", each=True),
+        "ardrone/land": Told("Empty", lambda _: "landing ordered", each=True),
+        "ardrone/reset": Told("Empty", lambda _: "reset ordered (emergency)", each=True),
+    }
 
     def __init__(self, vehicle_type, command_rate_hz):
         super().__init__(vehicle_type, command_rate_hz)

@@ -10,6 +10,7 @@ import math
 import queue
 import threading
 import time
+from collections import deque
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from functools import partial
@@ -18,7 +19,7 @@ import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
-from risc_control.vehicles import Command, FlightState, Status
+from risc_control.vehicles import Command, FlightState, Status, Told
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
 
@@ -26,12 +27,25 @@ MODE = "STABILIZE"  # in which it takes our commands
 ANSWER_S = 4.0  # a service of its driver that has not answered by then is not waited for; arming takes up to 3 s
 _MOST_UNANSWERED = 4
 NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
+STICKS = 4  # channels that fly it, the first ones of the radio
+OTHER_US = 60  # what is received differs by more from what is sent: it is another hand's,
+SAME_US = 30  # until it differs by less
+REPORTS = 8  # of what is received, that are looked at together
+_DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sends to what the autopilot says of it,
+_SPREAD_S = 0.25  # and more, from one to the next
+
+_BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle", 2: "follows commands", 3: "failsafe"}
 
 
 class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
 
     FLIES_ITSELF = False
+    REPORTS, COMMANDS = "telemetry", "controls"
+    TOLD = {
+        "apm/state": Told("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
+        "ppm_status": Told("PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")),
+    }
     SILENT_S = 2.5  # a heartbeat a second tells what it does
     MODE_CURE = "set it to %s" % MODE
     NEEDS_BATTERY = True
@@ -130,16 +144,69 @@ def _cosine(own):
     return math.cos(own.phi_rad) * math.cos(own.theta_rad) if own else 1.0
 
 
+class TrainerSwitch:
+    """Whether the autopilot receives what the board of the transmitter sends, or its pilot has let go of the trainer
+    switch and flies by the sticks. What the two do alike is not told apart.
+
+    It begins to count once both have agreed: pulses that a transmitter changes cannot be compared.
+    """
+
+    def __init__(self):
+        self.is_off = False
+        self._has_agreed = False
+        self._sent = deque()  # (time [s], channels [us]) of as long as they may matter
+        self._fits = deque(maxlen=REPORTS)  # of each that was received: for each delay, whether it was sent then
+
+    def send(self, channels_us, now_s):
+        """The board says that it sends these."""
+        self._sent.append((now_s, tuple(channels_us[:STICKS])))
+
+    def receive(self, channels_us, now_s):
+        """The autopilot says that it receives these. Returns whether `is_off` has changed."""
+        while self._sent and now_s - self._sent[0][0] > _DELAYS_S[-1] + _SPREAD_S:
+            self._sent.popleft()
+        received_us, most_us = channels_us[:STICKS], SAME_US if self.is_off else OTHER_US
+        if not self._sent or not all(0 < us < 65535 for us in received_us):
+            return False
+        self._fits.append([self._was_sent(received_us, most_us, now_s - delay_s) for delay_s in _DELAYS_S])
+        before, fitting = self.is_off, max(map(sum, zip(*self._fits)))
+        if len(self._fits) == REPORTS and fitting >= REPORTS - 1:  # one may be damaged
+            self._has_agreed, self.is_off = True, False
+        elif len(self._fits) == REPORTS and fitting <= REPORTS // 2:
+            self.is_off = self._has_agreed
+        return before != self.is_off
+
+    def _was_sent(self, received_us, most_us, then_s):
+        sent = [channels for time_s, channels in self._sent if then_s - _SPREAD_S <= time_s <= then_s]
+        return bool(sent) and all(
+            min(values) - most_us <= us <= max(values) + most_us for us, values in zip(received_us, zip(*sent))
+        )
+
+
 class _Reports:
-    """What the autopilot reports by MAVLink: roscopter's topics."""
+    """What the autopilot reports by MAVLink (roscopter's topics), and the board of the transmitter of what it sends."""
 
     def __init__(self, prefix, on_status, subscribe):
-        from roscopter.msg import State, Status  # the rest needs no ROS, but for Link
+        from risc_maap_msgs.msg import PpmStatus  # the rest needs no ROS, but for Link
+        from roscopter.msg import RC, State, Status
 
-        self._on_status = on_status
+        self._on_status, self._switch = on_status, TrainerSwitch()
         self._state, self._state_s = FlightState.UNKNOWN, -math.inf
+        self._lock = threading.Lock()  # each topic has a thread
         subscribe(prefix + "apm/state", State, self._on_state)
         subscribe(prefix + "apm/status", Status, self._on_battery)
+        subscribe(prefix + "apm/rc", RC, self._on_received)
+        subscribe(prefix + "ppm_status", PpmStatus, self._on_sent)
+
+    def _on_sent(self, message):
+        with self._lock:
+            self._switch.send(message.channels_us, time.monotonic())
+
+    def _on_received(self, message):
+        with self._lock:
+            has_changed = self._switch.receive(message.channel, time.monotonic())
+        if has_changed:
+            self._tell(message)
 
     def _on_state(self, message):
         taken = FlightState.FLYING if message.mode == MODE else FlightState.OTHER_MODE
@@ -152,6 +219,8 @@ class _Reports:
 
     def _tell(self, message, battery_pct=None):
         state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN
+        if state == FlightState.FLYING and self._switch.is_off:
+            state = FlightState.PILOT
         self._on_status(Status(state, battery_pct), message._connection_header.get("callerid", ""))
 
 

@@ -1,6 +1,7 @@
 """What the nodes of a flight say, heard by the program that started them."""
 
 import collections
+import contextlib
 import math
 import threading
 import time
@@ -23,7 +24,7 @@ class Watch:
     def __init__(self):
         self.phase = None  # OperatorPhase; None before the operator has said anything
         self.text = ""  # more of the phase
-        self.failure = None  # why the flight failed, "" when it did not; None until its end
+        self.failure = None  # why the flight failed, "" when it did not; None while it goes on
         self.flight_failed = False  # as a whole, not only vehicles that are out
         self.on_course = False  # whether all have reached it
         self.errors_mm = {}
@@ -46,8 +47,7 @@ class Watch:
         self._operator_first_s = self._operator_first_s or self._operator_s
         self.phase, self.text, self.on_course = OperatorPhase(message.phase), message.text, message.on_course
         self.flight_failed = message.flight_failed
-        if message.result != OperatorResult.RUNNING:
-            self.failure = message.reason
+        self.failure = None if message.result == OperatorResult.RUNNING else message.reason
 
     def _on_controller(self, message):
         self.oldest_ms.append(1e3 * message.oldest_state_s)
@@ -85,12 +85,12 @@ class Watch:
 
     def _inject(self, events):
         try:
-            ask = rospy.ServiceProxy("/virtual_lab/inject", InjectFault, persistent=True)
-            for event in events:
-                answer = ask(str(event), 0.0)
-                if not answer.success:
-                    self._refusal = answer.message
-                    return
+            with contextlib.closing(rospy.ServiceProxy("/virtual_lab/inject", InjectFault, persistent=True)) as ask:
+                for event in events:
+                    answer = ask(str(event), 0.0)
+                    if not answer.success:
+                        self._refusal = answer.message
+                        return
         except rospy.ServiceException as error:
             self._refusal = "the virtual lab cannot be asked for faults: %s" % error
             return

@@ -10,6 +10,7 @@ import numpy as np
 
 from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import SETTLE_S, YAW_BY_SEED_DEG, Flight
+from risc_lab.lab import load_vehicle_type
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults
@@ -59,6 +60,7 @@ class ScorecardParams(Settings):
 
     trajectories: tuple[Name, ...] = ("circle",)
     vehicles: between(1, 50) = 3
+    types: tuple[Name, ...] = ()
     flight_s: Positive = 60.0
     least_flight_s: Positive = 20.0
     minutes: Positive = 2.0
@@ -66,6 +68,13 @@ class ScorecardParams(Settings):
     events: EventParams = EventParams()
     random: RandomParams = RandomParams()
     quick: QuickParams = QuickParams()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if len(self.types) not in (0, self.vehicles):
+            raise ValueError("'types' has %d names, for %d vehicles" % (len(self.types), self.vehicles))
+        for name in self.types:
+            load_vehicle_type(name)
 
 
 def load_params(path=None):
@@ -105,6 +114,7 @@ class Plan(NamedTuple):
         return Flight(
             trajectory,
             vehicles=self.params.vehicles,
+            types=self.params.types,
             seed=seed,
             duration_s=flight_s - SETTLE_S,
             psi_deg=YAW_BY_SEED_DEG * seed % 360.0,
@@ -125,31 +135,14 @@ class Plan(NamedTuple):
             return ()
         if is_file(cell.fault):
             return load_faults(cell.fault)
-        events, params = [], self.params.events
-        begin_s = params.first_s
-        while True:
-            event = self._draw(cell, rng)
-            settings = event.settings
-            begin_s += rng.uniform(0.0, params.quiet_s[1] - params.quiet_s[0])
-            end_s = begin_s + event.duration_s
-            if end_s + params.settle_s > self.flight_s:
-                return tuple(events)
-            vehicle = vehicles[rng.integers(len(vehicles))] if settings.per_vehicle else ""
-            events.append(replace(event, vehicle=vehicle, start_s=round(begin_s, 3)))
-            begin_s = end_s + params.quiet_s[0]
+        return script(lambda: self._draw(cell, rng), self.params.events, vehicles, self.flight_s, rng)
 
     def _draw(self, cell, rng):
         """FaultEvent of a cell, of which nobody knows yet when it is."""
-        longest_s = self.params.events.longest_s
-        if cell.fault != RANDOM:
-            settings = fault_settings(cell.fault)
-            return _event(cell.fault, settings, settings.grades.get(cell.severity), longest_s)
-        members = safe_members(self.params)
-        name = members[rng.integers(len(members))]
-        settings = fault_settings(name)
-        values = settings.grades.values()
-        argument = _between(min(values), max(values), rng)
-        return _event(name, settings, argument, _between(*self.params.random.duration_s, rng), always=True)
+        if cell.fault == RANDOM:
+            return random_fault(safe_members(self.params), self.params.random, rng)
+        settings = fault_settings(cell.fault)
+        return _event(cell.fault, settings, settings.grades.get(cell.severity), self.params.events.longest_s)
 
     def wanting(self, flown):
         """Yields (cell, seed) of the flights that are still to be flown. flown: {cell: {seed: minutes}}."""
@@ -174,6 +167,33 @@ class Plan(NamedTuple):
             return flights
         mean = max(minutes / flights, whole / _MOST_FLIGHTS) if flights else whole
         return min(flights + math.ceil(missing / mean), _MOST_FLIGHTS * math.ceil(self.minutes / whole))
+
+
+def script(draw, params, vehicles, flight_s, rng):
+    """FaultEvents at random times, one after another with quiet between them, as many as fit into a flight.
+
+    draw: function that gives the next FaultEvent, without a vehicle and a time.  params: EventParams.  vehicles: their
+    namespaces.  flight_s: on the course.
+    """
+    events, begin_s = [], params.first_s
+    while True:
+        event = draw()
+        begin_s += rng.uniform(0.0, params.quiet_s[1] - params.quiet_s[0])
+        end_s = begin_s + event.duration_s
+        if end_s + params.settle_s > flight_s:
+            return tuple(events)
+        vehicle = vehicles[rng.integers(len(vehicles))] if event.settings.per_vehicle else ""
+        events.append(replace(event, vehicle=vehicle, start_s=round(begin_s, 3)))
+        begin_s = end_s + params.quiet_s[0]
+
+
+def random_fault(names, params, rng):
+    """FaultEvent of one of the members, as bad as its grades go, at most. params: RandomParams."""
+    name = names[rng.integers(len(names))]
+    settings = fault_settings(name)
+    values = settings.grades.values()
+    argument = _between(min(values), max(values), rng)
+    return _event(name, settings, argument, _between(*params.duration_s, rng), always=True)
 
 
 def _event(name, settings, argument, duration_s, always=False):

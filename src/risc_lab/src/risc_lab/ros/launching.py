@@ -67,7 +67,7 @@ def free_tcp_port(*preferred):
 
 
 class Launch:
-    """One roslaunch and its own roscore, in sessions of their own, with their output in a file.
+    """One roslaunch, and its roscore unless one runs at its port, in sessions of their own, with their output in a file.
 
     A roslaunch that owns the master ends everything when that dies; here the nodes go on with the connections that they
     have. However the caller dies, nothing is left behind: the kernel interrupts both then, roslaunch ends its nodes,
@@ -99,9 +99,10 @@ class Launch:
                 pass_fds=() if reservation is None else (reservation.fileno(),),
                 start_new_session=True,  # a Ctrl-C at the terminal is for us: the vehicles must land first
             )
-            mortal = "setpriv", "--pdeathsig", "INT"
-            self._core = start([*mortal, "roscore", "-p", str(master_port)])
-            wait_until(lambda: _listens(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
+            mortal, self._core = ("setpriv", "--pdeathsig", "INT"), None
+            if not _listens(master_port):
+                self._core = start([*mortal, "roscore", "-p", str(master_port)])
+                wait_until(lambda: _listens(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
             self._process = start([*mortal, "roslaunch", "--skip-log-check", str(launch_file), *arguments])
 
     def running(self):
@@ -110,15 +111,16 @@ class Launch:
 
     def stop(self, patience_s=30.0):
         """End all nodes and the master, first kindly. Returns the command names of processes that had to be killed."""
-        for process in (self._process, self._core):
+        started = [process for process in (self._process, self._core) if process is not None]
+        for process in started:
             process.send_signal(signal.SIGINT)  # nothing happens to one that has ended
             try:
                 process.wait(patience_s)
             except subprocess.TimeoutExpired:
                 process.kill()
         leftovers = end_processes(self.identity)
-        self._process.wait()
-        self._core.wait()
+        for process in started:
+            process.wait()
         return sorted(leftovers.values())
 
     def log_tail(self, lines=15):

@@ -126,8 +126,19 @@ class Firmware:
     def set_battery_pct(self, pct, time_s):
         """Put in another battery, or (a fault to be injected) a tired one."""
 
+    def power_cycle(self, time_s):
+        """It stands: it gets a full battery, and begins anew as one that has just been switched on."""
+        self.phase, self.motors_on, self.lifted = FlightPhase.LANDED, False, False
+        self.command, self.wake_s = (0.0, 0.0, 0.0, 0.0), math.inf
+        self.set_battery_pct(100.0, time_s)
+
     def see_floor(self, sees):
         """Whether the floor below has a texture from now on, for a vehicle whose bottom camera needs one."""
+
+    def fly_by_hand(self, sticks, time_s):
+        """A pilot flies it by its own transmitter, of a vehicle that has one. sticks: roll, pitch, yaw as fractions of
+        full scale, + right, nose up, clockwise, and lift in weights; None: no more.
+        """
 
     def check_battery(self, time_s):
         """Called about once a second: an empty battery lands the vehicle."""

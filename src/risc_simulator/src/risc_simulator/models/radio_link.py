@@ -66,6 +66,10 @@ class RadioLink:
                     self.items_superseded += 1
         return delivered
 
+    def clear(self):
+        """Let nothing arrive of what was submitted."""
+        self._pending = []
+
     def _slots_ended(self, time_s):
         """Slots below this index have ended at time_s."""
         return math.floor((time_s - self._phase_s) * self.rate_hz + 1e-9) + 1

@@ -16,7 +16,7 @@ from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import Crash, Fault, FaultKind, FaultKinds, FaultRecord, Faults, Told, WireFault
-from risc_maap_msgs.srv import InjectFault, InjectFaultResponse
+from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBackResponse
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 from risc_simulator.virtual_lab import LabOptions
 
@@ -72,6 +72,16 @@ def _header():
     return Header(stamp=rospy.Time.now())
 
 
+def _answer(order, argument):
+    """(True, what an order says), or (False, why it raised ValueError)."""
+    try:
+        text = order(argument)
+    except ValueError as error:
+        return False, str(error)
+    rospy.loginfo("%s", text)
+    return True, text
+
+
 class VirtualLabNode:
     """Runs the lab in the main thread; callbacks only leave orders for it."""
 
@@ -97,6 +107,7 @@ class VirtualLabNode:
         kinds = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
         kinds.publish(fault_kinds())
         rospy.Service("/virtual_lab/inject", InjectFault, self._on_inject)
+        rospy.Service("/virtual_lab/put_back", PutBack, self._on_put_back)
 
         self._updater = make_updater("virtual lab %s" % lab.fleet.name)
         self._updater.add("virtual lab", self._diagnose)
@@ -193,27 +204,32 @@ class VirtualLabNode:
                     raise ValueError("a fault cannot begin in the past: %g s" % event.start_s)
         except ValueError as error:
             return InjectFaultResponse(False, str(error))
+        done, text = self._carry_out(self._inject, event)
+        return InjectFaultResponse(done, text)
+
+    def _on_put_back(self, request):
+        done, text = self._carry_out(self._put_back, request.vehicle)
+        return PutBackResponse(done, text)
+
+    def _carry_out(self, order, argument):
+        """(whether it is done, what is done or why not) of a method that the lab's thread calls and that says so."""
         answer = queue.SimpleQueue()
-        self._orders.put((self._inject, (event, answer)))
+        self._orders.put((lambda: answer.put(_answer(order, argument)), ()))
         try:
             return answer.get(timeout=_ANSWER_S)
         except queue.Empty:
-            return InjectFaultResponse(False, "the virtual lab is too busy to answer within %g s" % _ANSWER_S)
+            return False, "the virtual lab is too busy to answer within %g s" % _ANSWER_S
 
-    def _inject(self, event, answer):
-        """In the lab's thread."""
+    def _inject(self, event):
         if event is None:
             self._lab.end_faults()
-            answer.put(InjectFaultResponse(True, "all faults have ended"))
-            return
-        try:
-            record = self._lab.inject(event)
-        except ValueError as error:
-            answer.put(InjectFaultResponse(False, str(error)))
-            return
-        text = "fault %d: %s" % (record.id, record.event)
-        rospy.loginfo("%s", text)
-        answer.put(InjectFaultResponse(True, text))
+            return "all faults have ended"
+        record = self._lab.inject(event)
+        return "fault %d: %s" % (record.id, record.event)
+
+    def _put_back(self, namespace):
+        self._lab.put_back(namespace)
+        return "%s: put back" % (namespace or "all vehicles")
 
     def _on_number(self, msg, order):
         self._give(order, msg.data)

@@ -144,6 +144,11 @@ class ArdroneFirmware(Firmware):
         self._setpoint = Setpoint(hover=True)
         self._hover(time_s, height_m)
 
+    def power_cycle(self, time_s):
+        self._setpoint = Setpoint(hover=True)
+        self._enter(FlightPhase.LANDED, time_s)
+        self.set_battery_pct(100.0, time_s)
+
     def check_battery(self, time_s):
         if self.battery_pct(time_s) <= EMPTY_BATTERY_PCT:
             self.apply(FlightAction.LAND, time_s, None)

@@ -131,19 +131,9 @@ class ArdroneHost(VehicleHost):
 
         # piloting
         self._arriving = deque()  # (time, item) from the radio that is not yet due
-        self._submitted_ref = None
-        self._select = False  # last level of REF bit 8
-        self._start = None  # last level of REF bit 9; None: no REF yet
-        self._armed = True  # False: bit 9 must be seen 0 before the next take-off
-        self._refused = False  # this take-off has been counted as refused
-        self._landing_ordered = False
-        self._rest_until_s = -math.inf  # an order is under way
-        self._user_emergency = False
         self._last_phase = vehicle.phase
-        self._sticks = NO_STICKS
         self._told_flags = NO_STICKS.flags
-        self._wanted = Setpoint(hover=True)  # before the altitude limit
-        self._scheduled = self._wanted
+        self._forget_pilot()
         self._ref_sequence = 0
         self._ref_time_s = None
         self._ref_gap_ms = 0.0
@@ -224,6 +214,15 @@ class ArdroneHost(VehicleHost):
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
             self._send_navdata(now_s, phase)
 
+    def power_cycle(self, now_s):
+        """The configuration stays. Take-off needs a fresh command: who put it back must not be hit by its rotors."""
+        self._radio.clear()
+        self._arriving.clear()
+        self._forget_pilot()
+        self._armed = False
+        self._begin_anew()
+        self._com_lost_s, self._com_watchdog = None, True
+
     def close(self):
         """Close all sockets. May be called twice."""
         for server in (self._readers, self._ftp, *self._sockets.values()):
@@ -260,6 +259,19 @@ class ArdroneHost(VehicleHost):
                 self._counts["datagrams_lost_in"] += 1
             else:
                 yield datagram
+
+    def _forget_pilot(self):
+        self._submitted_ref = None
+        self._select = False  # last level of REF bit 8
+        self._start = None  # last level of REF bit 9; None: no REF yet
+        self._armed = True  # False: bit 9 must be seen 0 before the next take-off
+        self._refused = False  # this take-off has been counted as refused
+        self._landing_ordered = False
+        self._rest_until_s = -math.inf  # an order is under way
+        self._user_emergency = False
+        self._sticks = NO_STICKS
+        self._wanted = Setpoint(hover=True)  # before the altitude limit
+        self._scheduled = self._wanted
 
     def _write(self, text, sock):
         """Text for a client that reads the configuration."""
@@ -416,14 +428,18 @@ class ArdroneHost(VehicleHost):
         """No command for too long: as on a fresh aircraft the client has to start again; hover meanwhile."""
         _LOG.warning("%s: no command for %.1f s, link lost", self._vehicle.namespace, now_s - self._last_at_s)
         self._counts["com_losses"] += 1
-        self._com_lost_s, self._last_at_s = now_s, None
+        self._com_lost_s, self._submitted_ref = now_s, None
+        self._begin_anew()
+        self._wanted = Setpoint(hover=True)
+        self._schedule(now_s, self._wanted)
+
+    def _begin_anew(self):
+        """Forget the client."""
+        self._last_at_s = None
         self._gate.reset()
-        self._submitted_ref = None
         self._ack = False
         self._bootstrap, self._client = True, None
         self._rebuild_writer()
-        self._wanted = Setpoint(hover=True)
-        self._schedule(now_s, self._wanted)
 
     # --- piloting ---------------------------------------------------------------------------------------------------
 

@@ -101,21 +101,25 @@ class IrisFirmware(Firmware):
 
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
-        self.mode = Mode.STABILIZE
         self.texts = deque(maxlen=100)
-        self.radio_failsafe = True  # until something is heard
-        self.wake_s = 0.0
         self.parameters = _parameters_of(vehicle_type)
         self._take_parameters()
         self._hover = vehicle_type.hover_throttle
-        self._battery, self._battery_said = Battery(vehicle_type.battery_life_s), None
-        self._time_s = 0.0
+        self._battery = Battery(vehicle_type.battery_life_s)
+        self._switch_on(0.0)
+
+    def _switch_on(self, time_s):
+        self.mode = Mode.STABILIZE
+        self.radio_failsafe = True  # until something is heard
+        self.wake_s = self._time_s = time_s
+        self._battery_said = None
         self._received_us, self._received_s = (), -math.inf
+        self._by_hand = False  # the trainer switch is off: what the board sends is not received
         self._overrides = {}  # channel -> (us, since when)
         self._override_s = -math.inf
         self._low_frames = 0
-        self._gesture, self._gesture_s = 0, 0.0  # yaw to this side since then
-        self._grounded_s = 0.0  # since when it stands armed, or with a throttle that is not at its end
+        self._gesture, self._gesture_s = 0, time_s  # yaw to this side since then
+        self._grounded_s = time_s  # since when it stands armed, or with a throttle that is not at its end
         self._hold_m = None  # height that is held; None: none
 
     def configure(self, record):
@@ -248,6 +252,8 @@ class IrisFirmware(Firmware):
 
     def apply(self, action, time_s, vertical_motion):
         if isinstance(action, RcFrame):
+            if self._by_hand:
+                return
             self._received_us, self._received_s = action.channels_us, time_s
             is_low = action.channels_us[THROTTLE] < self._lost_us
             self._low_frames = min(self._low_frames + 1, LOW_THROTTLE_FRAMES) if is_low else 0
@@ -301,6 +307,24 @@ class IrisFirmware(Firmware):
         self._low_frames = 0
         self._command(self.channels_us, None)
         self._record["rotor_thrust_n"] = self._balance_n
+
+    def fly_by_hand(self, sticks, time_s):
+        self._by_hand = sticks is not None
+        if self._by_hand:
+            *turns, lift = sticks
+            roll, pitch, yaw = (CENTRE_US + round(HALF_RANGE_US * stick) for stick in turns)
+            throttle = self.hover_throttle(self.battery_pct(time_s)) + lift - 1.0
+            throttle_us = CENTRE_US + round(HALF_RANGE_US * min(1.0, max(-1.0, throttle)))
+            self._received_us, self._received_s = (roll, pitch, throttle_us, yaw), time_s
+            self._low_frames = 0
+
+    def power_cycle(self, time_s):
+        """Parameters stay as they were set."""
+        self.motors_on, self.lifted, self.command = False, False, (0.0, 0.0, 0.0, 0.0)
+        self._battery.set_load(GROUND_LOAD, time_s)
+        self.set_battery_pct(100.0, time_s)
+        self.texts.clear()
+        self._switch_on(time_s)
 
     def check_battery(self, time_s):
         pct = self.battery_pct(time_s)

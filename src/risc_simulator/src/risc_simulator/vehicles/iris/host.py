@@ -93,6 +93,10 @@ class IrisHost(VehicleHost):
         self._line.flush()
         self.mavlink.tick(now_s)
 
+    def power_cycle(self, now_s):
+        """The board is no part of the vehicle."""
+        self.mavlink.power_cycle()
+
     def close(self):
         """Close all sockets. May be called twice."""
         if self._line is not None:

@@ -278,6 +278,11 @@ class Mavlink:
             if client.parameters_sent is not None:
                 self._go_on_with_parameters(client)
 
+    def power_cycle(self):
+        """Begin anew, and know nobody."""
+        self.clients.clear()
+        self._station_s, self._station_lost = None, False
+
     def _forget_silent_clients(self):
         for client in list(self.clients.values()):
             if self._now_s - client.heard_s > CLIENT_SILENCE_S:

@@ -1,0 +1,203 @@
+"""A vehicle that does not fly itself with its pilot, and a clock that the test turns."""
+
+import math
+
+import numpy as np
+
+from risc_control.joystick import Sticks
+from risc_control.separation import ALONE
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
+from risc_control.vehicles import Command, Controls, ControlsConverter, FlightState, Status
+from risc_control.vehicles.iris import hover_throttle, without_dead_zone
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.lab import load_vehicle_type
+
+IRIS = load_vehicle_type("iris")
+TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, DOWN, SHUT_DOWN = 0, 2, 6, 9, 10, 7  # Appendix C
+STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
+
+
+class Iris:
+    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9."""
+
+    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05):
+        self.more, self.battery_pct, self._delay_s = more, battery_pct, delay_s
+        self.position_m, self.velocity_m_s = [0.3, -0.2, REST_M], [0.0, 0.0, 0.0]
+        self.angles_rad, self.rates_rad_s = [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]
+        self.armed, self.mode, self.arms = False, "STABILIZE", True
+        self.impact_m_s = 0.0
+        self._under_way, self.sticks = [], Sticks(0.0, 0.0, -1.0, 0.0)
+        self.heard_s = 0.0  # when it was sent sticks last
+
+    def send(self, sticks, now_s):
+        self._under_way.append((now_s + self._delay_s, sticks))
+
+    def take_off(self):
+        self.mode = "STABILIZE"
+        if self.arms and self.sticks.up <= -0.99:
+            self.armed = True
+
+    def disarm(self):
+        if self.stands:
+            self.armed = False
+
+    @property
+    def stands(self):
+        return self.position_m[2] <= REST_M + 1e-6
+
+    @property
+    def state(self):
+        flying = FlightState.FLYING if self.mode == "STABILIZE" else FlightState.OTHER_MODE
+        return (FlightState.LANDING if self.mode == "LAND" else flying) if self.armed else FlightState.LANDED
+
+    def own(self):
+        return OwnState(tuple(self.position_m), tuple(self.velocity_m_s), *self.angles_rad)
+
+    def step(self, now_s):
+        while self._under_way and self._under_way[0][0] <= now_s:
+            self.heard_s, self.sticks = self._under_way.pop(0)
+        if self.armed and now_s - self.heard_s > 1.0:  # failsafe of the board, then of the autopilot
+            self.mode = "LAND"
+        roll, pitch, turn = (
+            -without_dead_zone(stick, IRIS.stick_dead_zone)
+            for stick in (self.sticks.left, self.sticks.forward, self.sticks.turn_left)
+        )
+        thrust_m_s2 = G * self.more * (1.0 + self.sticks.up - hover_throttle(IRIS, self.battery_pct))
+        if self.mode == "LAND":
+            thrust_m_s2 = G + 3.0 * (-0.5 - self.velocity_m_s[2])
+            self.armed = self.armed and not self.stands
+        thrust_m_s2 = max(0.0, thrust_m_s2) if self.armed else 0.0
+        phi, theta, psi = self.angles_rad
+        for axis, wanted in enumerate((roll * IRIS.tilt_max_rad, pitch * IRIS.tilt_max_rad)):
+            wn, zeta = 15.0, 0.8
+            bends = wn * wn * (wanted - self.angles_rad[axis]) - 2.0 * zeta * wn * self.rates_rad_s[axis]
+            self.rates_rad_s[axis] += STEP_S * bends
+            self.angles_rad[axis] += STEP_S * self.rates_rad_s[axis]
+        self.rates_rad_s[2] += STEP_S * (turn * IRIS.yaw_rate_max_rad_s - self.rates_rad_s[2]) / 0.1
+        self.angles_rad[2] += STEP_S * self.rates_rad_s[2]
+        forward, right = -thrust_m_s2 * math.sin(theta), thrust_m_s2 * math.cos(theta) * math.sin(phi)
+        north = math.cos(psi) * forward - math.sin(psi) * right
+        east = math.sin(psi) * forward + math.cos(psi) * right
+        pushes = north, -east, thrust_m_s2 * math.cos(phi) * math.cos(theta) - G
+        for axis, push_m_s2 in enumerate(pushes):
+            self.velocity_m_s[axis] += STEP_S * (push_m_s2 - 0.2 * self.velocity_m_s[axis])
+            self.position_m[axis] += STEP_S * self.velocity_m_s[axis]
+        if self.position_m[2] <= REST_M:
+            self.impact_m_s = max(self.impact_m_s, -self.velocity_m_s[2])
+            self.position_m[2], self.velocity_m_s = REST_M, [0.0, 0.0, max(0.0, self.velocity_m_s[2])]
+            self.angles_rad[:2] = self.rates_rad_s[:2] = [0.0, 0.0]
+
+
+class Desk:
+    """A pilot with its vehicle: ticks at 66 Hz, states and controls at 200 Hz, telemetry at 4 Hz, the board at 10 Hz.
+
+    alive: what works; without "radio" nothing that is sent arrives.  fly: function of the desk that gives the
+    controller's `Command`.
+    """
+
+    def __init__(self, iris=None, fly=None, **params):
+        self.iris, self.now_s = iris or Iris(), 500.0
+        self.pilot = VehiclePilot(VehicleNodeParams(**{"joystick_timeout": 0.0, **params}), IRIS, self.now_s)
+        self.alive = {"state", "telemetry", "board", "radio", "node"}
+        self.look, self.fly = ALONE, fly
+        self.sent, self.said, self.states = [], [], []  # (time, Sticks); (time, level, text); FlightStates, in turn
+        self.counts = dict.fromkeys(("takeoff", "land", "reset", "disarm"), 0)
+        self._converter, self._step, self._joy = ControlsConverter([IRIS]), 0, None
+        self.run(1.0)
+
+    def take(self, orders):
+        for what in self.counts:
+            self.counts[what] += getattr(orders, what)
+        self.said += [(self.now_s, *said) for said in orders.log]
+        if orders.command is not None:
+            self.sent.append((self.now_s, orders.command.sticks))
+            if {"radio", "board"} <= self.alive:
+                self.iris.send(orders.command.sticks, self.now_s)
+        if "telemetry" in self.alive:
+            if orders.takeoff:
+                self.iris.take_off()
+            if orders.land and self.iris.armed:
+                self.iris.mode = "LAND"
+            if orders.disarm:
+                self.iris.disarm()
+            if orders.reset:
+                self.iris.armed = False
+        return orders
+
+    def run(self, duration_s, until=None):
+        """Go on, at most so long; returns whether `until` came true."""
+        for _ in range(round(duration_s / STEP_S)):
+            self.now_s += STEP_S
+            self._step += 1
+            self.iris.step(self.now_s)
+            if "node" in self.alive:
+                self._hear()
+            if until is not None and until():
+                return True
+        return False
+
+    def _hear(self):
+        pilot, now_s, own = self.pilot, self.now_s, self.iris.own()
+        if self._step % 3 == 0 and "state" in self.alive:
+            pilot.on_state(own, LATENCY_S, now_s, self.look)
+        if self.fly is not None and (command := self.fly(self)) is not None:
+            controls, _ = self._converter(
+                Command(*(np.array([part]) for part in command)), np.array([True]), np.array([False])
+            )
+            self.take(pilot.on_controls(Controls(*(part[0] for part in controls)), now_s, LATENCY_S, now_s))
+        if self._step % 50 == 0 and "telemetry" in self.alive:
+            battery_pct = math.ceil(self.iris.battery_pct)
+            self._converter.tell_battery(0, battery_pct, now_s)
+            self.take(pilot.on_status(Status(self.iris.state, battery_pct), now_s))
+        if self._step % 20 == 0 and "board" in self.alive:
+            pilot.on_wire(now_s)
+        if self._joy is not None and self._step % 10 == 0:
+            self.take(pilot.on_joy(*self._joy, now_s))
+        if self._step % 3 == 0:
+            self.take(pilot.tick(now_s))
+        if not self.states or self.states[-1] != pilot.flight_state:
+            self.states.append(pilot.flight_state)
+
+    def joy(self, *down, axes=(0.0,) * 8):
+        """A joystick that goes on with these buttons down."""
+        self._joy = [1 if i in down else 0 for i in range(11)], axes
+        return self.take(self.pilot.on_joy(*self._joy, self.now_s))
+
+    def press(self, button):
+        orders = self.joy(button)
+        self.joy()
+        return orders
+
+    def up(self):
+        """Take off, and wait until it hovers."""
+        self.press(TAKEOFF_LAND)
+        assert self.run(8.0, lambda: self.pilot.flight_state == FlightState.HOVERING), self.said
+        return self
+
+    def wait_for(self, state, duration_s):
+        assert self.run(duration_s, lambda: self.pilot.flight_state == state), (self.pilot.flight_state, self.said)
+
+
+def level_at(height_m):
+    """A controller without an integral."""
+
+    def fly(desk):
+        own = desk.iris.own()
+        up_m_s2 = 8.0 * (height_m - own.position_m[2]) - 4.0 * own.velocity_m_s[2]
+        return Command(0.0, 0.0, 0.0, IRIS.mass_kg * (G + up_m_s2))
+
+    return fly
+
+
+def flown(more=0.9, **params):
+    """In autonomous mode, after a hover of a few seconds."""
+    desk = Desk(Iris(more=more), **params).up()
+    desk.run(4.0)
+    desk.fly = level_at(desk.iris.position_m[2])
+    desk.run(0.1)
+    assert desk.press(TOGGLE).mode is True, desk.said
+    return desk
+
+
+def said(desk):
+    return " ".join(text for _, _, text in desk.said)

@@ -1,0 +1,99 @@
+"""What must stay true while a soak goes on, and what is said when it does not. No input or output."""
+
+from typing import NamedTuple
+
+FIGURES = {  # of a process: (limits of SoakLimits per hour and at all, unit, what it is)
+    "own_mb": ("memory_mb_h", "memory_mb", "MB", "memory of its own"),
+    "descriptors": ("descriptors_h", "descriptors", "", "open descriptors"),
+    "threads": ("threads_h", "threads", "", "threads"),
+}
+
+
+class Violation(NamedTuple):
+    """Something that must not be."""
+
+    invariant: str  # one word
+    text: str  # what was found, in a sentence
+
+
+def growth(name, track, warm_s, params):
+    """Yields the Violations of a process whose figures grow. track: drift.Track with those of FIGURES."""
+    for figure, (per_hour, at_all, unit, what) in FIGURES.items():
+        found = track.drift(figure, warm_s)
+        most, least = getattr(params.limits, per_hour), getattr(params.limits, at_all)
+        if found.judged_s >= params.least_judged_s and found.exceeds(most, least):
+            text = "%s: %s went from %.4g to %.4g %s, by %s an hour; the limit is %g"
+            values = name, what, found.first, found.last, unit, interval(found), most
+            yield Violation("growth", " ".join((text % values).split()))
+
+
+def interval(found):
+    """A Drift's slope with its interval, as text."""
+    return "%+.3g (%+.3g to %+.3g)" % (found.slope, found.low, found.high)
+
+
+def latency(track, warm_s, params):
+    """Violation of flights whose latency grows; None. track: drift.Track with p99_ms of each flight."""
+    found, limits = track.drift("p99_ms", warm_s), params.limits
+    if found.judged_s < params.least_judged_s or not found.exceeds(limits.latency_ms_h, limits.latency_ms):
+        return None
+    text = "from frame to command p99 went from %.1f to %.1f ms, by %s ms an hour; the limit is %g"
+    return Violation("latency", text % (found.first, found.last, interval(found), limits.latency_ms_h))
+
+
+def flight(judged, limits):
+    """Violation of a flight; None. judged: of `flight.judge_flight`."""
+    if judged["reasons"]:
+        return Violation("flight", "; ".join(judged["reasons"]))
+    late_ms = judged["lab_late_ms"]["p99"]
+    if late_ms is not None and late_ms > limits.lab_late_ms:
+        text = "the virtual lab was up to %.0f ms late (p99; the limit is %g): this computer had too little time"
+        return Violation("late", text % (late_ms, limits.lab_late_ms))
+    return None
+
+
+def crash(vehicle, reason, safe):
+    """Violation of a vehicle that touched something; None. safe: outcomes that faults of this flight allow."""
+    if "breach" in safe:
+        return None
+    return Violation("crash", "%s %s, and no fault of this flight allows that" % (vehicle, reason))
+
+
+def gone(expected, alive, killed):
+    """Violation of a process that has ended; None.
+
+    expected: {name: (process id, when it was started)}.  alive: set of the latter.  killed: names of those that were
+    killed on purpose a while ago, and are being started again.
+    """
+    ended = [(name, pid) for name, (pid, start_s) in expected.items() if (pid, start_s) not in alive]
+    ended = [(name, pid) for name, pid in ended if name not in killed]
+    if not ended:
+        return None
+    text = ", ".join("%s (process %d)" % item for item in ended)
+    return Violation("process", "%s: ended, and nobody was to end it" % text)
+
+
+def not_ready(waited_s, why, limits):
+    """Violation of a fleet that does not take off again; None. waited_s: since it was asked to."""
+    if waited_s <= limits.ready_s:
+        return None
+    return Violation(
+        "take-off", "nobody took off within %g s: %s" % (limits.ready_s, why or "the operator says nothing")
+    )
+
+
+def error(node, text, fault_began):
+    """Violation of an error in a log; None where a fault of this flight may be why."""
+    return None if fault_began else Violation("log", "error of %s that no fault explains: %s" % (node, text))
+
+
+def traceback(text):
+    """Violation of a Python program that did not expect what happened: no fault excuses that."""
+    return Violation("log", "a traceback in roslaunch.log: %s" % text.strip().splitlines()[-1])
+
+
+def disk(free_mb, limits):
+    """Violation of a disk that fills; None."""
+    if free_mb >= limits.free_disk_mb:
+        return None
+    return Violation("disk", "%.0f MB are left on the disk, fewer than %g" % (free_mb, limits.free_disk_mb))

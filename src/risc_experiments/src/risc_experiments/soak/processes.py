@@ -1,0 +1,121 @@
+"""What the processes of a soak take: memory, descriptors, threads, processor time, while they live."""
+
+import contextlib
+import os
+from typing import NamedTuple
+
+import psutil
+
+from risc_experiments.processor_use import program_name
+from risc_experiments.soak.drift import Track
+from risc_lab.ros.launching import marked_processes
+
+OURSELVES = "maap soak"
+
+
+class Look(NamedTuple):
+    """One process at one time."""
+
+    rss_mb: float  # memory that it uses,
+    pss_mb: float  # less what it shares with others, in parts,
+    own_mb: float  # and without any of that
+    descriptors: int
+    threads: int
+    cpu_s: float  # processor time since it began
+
+
+class Process:
+    """A process, and how it has changed."""
+
+    def __init__(self, name, process, time_s):
+        self.name, self.since_s = name, time_s
+        self.key = process.pid, process.create_time()
+        self.track = Track(*Look._fields, "cpu_cores")
+        self.newest = None
+        self.cpu_cores = float("nan")  # between the last two looks
+        self._process, self._newest_s = process, None
+
+    @property
+    def alive(self):
+        """A process that nobody has waited for yet has ended, too."""
+        with contextlib.suppress(psutil.Error):
+            return self._process.is_running() and self._process.status() != psutil.STATUS_ZOMBIE
+        return False
+
+    def look(self, time_s):
+        """Look at it now. Returns the Look; None when it has ended."""
+        try:
+            with self._process.oneshot():
+                memory, times = self._process.memory_full_info(), self._process.cpu_times()
+                new = Look(
+                    *(memory.rss / 1e6, memory.pss / 1e6, memory.uss / 1e6),
+                    *(self._process.num_fds(), self._process.num_threads(), times.user + times.system),
+                )
+        except psutil.Error:
+            return None
+        if self.newest is not None and time_s > self._newest_s:
+            self.cpu_cores = (new.cpu_s - self.newest.cpu_s) / (time_s - self._newest_s)
+        self.newest, self._newest_s = new, time_s
+        self.track.add(time_s, *new, self.cpu_cores)
+        return new
+
+
+class Processes:
+    """Those of one launch, and this one."""
+
+    def __init__(self, identity):
+        """identity: of `launching.Launch`."""
+        self._identity = identity
+        self._known = {}  # {(process id, when it was started): Process}
+        self.expected = {}  # {name: (process id, when it was started)} of those that have to live
+
+    @property
+    def known(self):
+        """All that were ever seen, by name."""
+        return sorted(self._known.values(), key=lambda item: item.name)
+
+    @property
+    def living(self):
+        """Processes, by name."""
+        return [process for process in self.known if process.alive]
+
+    def find(self, time_s):
+        """Look which there are."""
+        for pid in (os.getpid(), *marked_processes(self._identity)):
+            with contextlib.suppress(psutil.Error):
+                process = psutil.Process(pid)
+                key = pid, process.create_time()
+                if key not in self._known:
+                    name = OURSELVES if pid == os.getpid() else program_name(process)
+                    self._known[key] = Process(self._new_name(name), process, time_s)
+
+    def _new_name(self, name):
+        """One that no living process has: the second is called "NAME 2"."""
+        taken, number = {process.name for process in self.living}, 2
+        wanted = name
+        while name in taken:
+            name, number = "%s %d" % (wanted, number), number + 1
+        return name
+
+    def look(self, time_s):
+        """Look at all that live. Returns {name: Look}."""
+        self.find(time_s)
+        found = {process.name: process.look(time_s) for process in self.living}
+        return {name: look for name, look in found.items() if look is not None}
+
+    def expect(self):
+        """Those that live now have to live until the end."""
+        self.expected = {process.name: process.key for process in self.living}
+
+    def replace(self, name):
+        """One that was killed on purpose and has a successor: that one has to live from now on. Returns whether."""
+        key = next((process.key for process in self.living if process.name == name), None)
+        if key is None or key == self.expected.get(name):
+            return False
+        self.expected[name] = key
+        return True
+
+    @property
+    def alive(self):
+        """Keys of those that live."""
+        return {process.key for process in self.living}

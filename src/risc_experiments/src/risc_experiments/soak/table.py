@@ -1,0 +1,69 @@
+"""What became of faults, a row for each, of any number of soaks together. No input or output but `read`."""
+
+import json
+from collections import Counter
+
+import numpy as np
+
+RECORD = "soak.jsonl"
+HEAD = ("fault", "events", "reactions", "p50 [ms]", "p99 [ms]", "max [ms]", "outcomes", "not safe")
+
+
+def read(folder):
+    """Faults of a soak's folder, as its flights' `faults`. Raises ValueError when it is none, OSError."""
+    faults = []
+    path = folder / RECORD
+    with path.open(encoding="utf-8") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                entry = json.loads(line)
+            except ValueError:
+                if line.endswith("\n"):  # else a line that was not finished when the power failed
+                    raise ValueError("%s, line %d: this is no line of a soak" % (path, number)) from None
+                break
+            if entry["kind"] == "fault":
+                faults.append(entry)
+    return faults
+
+
+def rows_of(faults):
+    """Rows of dicts, one for each fault, by name. Reactions: of every vehicle, as its commands on the wire tell."""
+    by_name = {}
+    for fault in faults:
+        by_name.setdefault(fault["name"], []).append(fault)
+    return [row_of(name, by_name[name]) for name in sorted(by_name)]
+
+
+def row_of(name, faults):
+    """One row."""
+    reactions_ms = [ms for fault in faults for ms in fault["reactions_ms"].values()]
+    percentiles = np.percentile(reactions_ms, [50, 99, 100]).tolist() if reactions_ms else [None] * 3
+    return {
+        "fault": name,
+        "events": len(faults),
+        "reactions": len(reactions_ms),
+        **dict(zip(("p50_ms", "p99_ms", "max_ms"), percentiles)),
+        "outcomes": dict(sorted(Counter(fault["outcome"] for fault in faults).items())),
+        "unsafe": sum(not fault["safe"] for fault in faults),
+    }
+
+
+def cells(row):
+    """Texts of a row, under HEAD."""
+    times = ["–" if row[key] is None else "%.1f" % row[key] for key in ("p50_ms", "p99_ms", "max_ms")]
+    outcomes = ", ".join("%s %d" % item for item in row["outcomes"].items())
+    return [row["fault"], str(row["events"]), str(row["reactions"]), *times, outcomes, str(row["unsafe"])]
+
+
+def markdown(head, rows, texts=(0,)):
+    """Lines of a table. texts: columns that hold words."""
+    lines = [head, ["---" if column in texts else "---:" for column in range(len(head))], *rows]
+    return ["| %s |" % " | ".join(map(str, line)) for line in lines]
+
+
+def faults_table(faults):
+    """Lines: the faults, and all together."""
+    rows = rows_of(faults)
+    if len(rows) > 1:
+        rows.append(row_of("all", faults))
+    return markdown(HEAD, map(cells, rows), (0, 6))
