@@ -67,7 +67,7 @@ def free_tcp_port(*preferred):
 
 
 class Launch:
-    """One roslaunch, and its roscore unless one runs at its port, in sessions of their own, with their output in a file.
+    """One roslaunch, and a roscore unless one runs at its port, in sessions of their own, their output in a file.
 
     A roslaunch that owns the master ends everything when that dies; here the nodes go on with the connections that they
     have. However the caller dies, nothing is left behind: the kernel interrupts both then, roslaunch ends its nodes,
