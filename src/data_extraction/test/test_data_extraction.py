@@ -125,9 +125,12 @@ def test_frames_that_are_lost_before_and_after_the_flight_do_not_count(tmp_path,
             t_s = T0_S + 0.005 * k
             now = rospy.Time.from_sec(t_s)
             if k % 41 == 0 and k // 41 < len(phases):
-                bag.write("/operator/phase", OperatorState(phase=phases[k // 41]), now)
+                bag.write("/operator/phase", stamped(OperatorState(phase=phases[k // 41]), t_s), now)
+            if k == 3 and phases:  # of the flight before, kept for who listens since then
+                before = stamped(OperatorState(result=OperatorResult.FAILED), T0_S - 9.0)
+                bag.write("/operator/result", before, now)
             if k == 101:
-                bag.write("/operator/result", OperatorState(result=OperatorResult.OK), now)
+                bag.write("/operator/result", stamped(OperatorState(result=OperatorResult.OK), t_s), now)
             bag.write("/mocap_time", stamped(MocapTime(frame=k), t_s), now)
             if begins <= k < 101 and k != 60 or k % 4 == 1:
                 bag.write("/cortex_raw", stamped(Cortex(Obj=[states("fluffy_II", t_s)]), t_s), now)

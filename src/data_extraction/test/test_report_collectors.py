@@ -69,7 +69,7 @@ def play(tmp_path):
         path = tmp_path / "some.bag"
         with rosbag.Bag(str(path), "w") as bag:
             for topic, message, t_s in rows:
-                if getattr(message, "_has_header", False):
+                if getattr(message, "_has_header", False) and message.header.stamp.is_zero():
                     message.header.stamp = rospy.Time.from_sec(t_s)
                 bag.write(topic, message, rospy.Time.from_sec(t_s))
         with Bag(path) as bag:
@@ -589,7 +589,7 @@ def truth(t_s, x=0.0, z=1.0, name="fluffy_II"):
 
 def flown(play, *rows):
     """Faults of a flight that is on its course from 1 s to 20 s."""
-    rows = [operator(0.0, on_course=False), operator(1.0), *rows]
+    rows = [operator(0.0, OperatorPhase.WAITING, False), operator(1.0), *rows]
     rows += [operator(20.0, OperatorPhase.LAND), operator(25.0, OperatorPhase.DONE)]
     return play(FaultCollector(), sorted(rows, key=lambda row: row[2])).result(T0_S + 30.0)
 
@@ -609,6 +609,17 @@ def test_a_fault_that_changes_nothing_is_completed(play):
         "reactions_ms": {},
     }
     assert faults.waiting == 0 and faults.out == {}
+
+
+def test_what_the_operator_said_of_the_flight_before_is_of_that_one(play):
+    """His last words are kept for a recorder that starts between two flights."""
+    over = {"phase": OperatorPhase.ABORTED, "result": OperatorResult.FAILED, "on_course": True}
+    old = OperatorState(**over, out=[VehicleOut("risc2", OutCause.LADDER, "landed")])
+    old.header.stamp = at(-30.0)
+    rows = [("/operator/phase", old, T0_S - 0.2), ("/operator/result", old, T0_S + 0.5)]
+    faults = flown(play, *rows, told(fault(1, 3.0), t_s=3.0))
+    (outcome,) = faults.outcomes
+    assert (outcome.outcome, faults.out, faults.course_s) == ("completed", {}, pytest.approx(T0_S + 1.0))
 
 
 def test_the_reaction_is_the_first_command_of_a_higher_level(play):
@@ -700,6 +711,13 @@ def test_a_breach_is_what_touched_left_or_stayed_up(play, rows):
     assert (outcome.outcome, outcome.is_safe) == ("breach", False)
     (before,) = flown(play, told(fault(1, 5.0), t_s=5.0), *rows[:1]).outcomes
     assert before.outcome == "completed", "what came before is not its own"
+
+
+@pytest.mark.parametrize("other, is_safe", [("", True), ("risc2", False)])
+def test_a_fall_may_be_safe_but_not_onto_another_vehicle(play, other, is_safe):
+    crash = "/virtual_lab/crash", Crash(vehicle="risc1", other=other, reason="fell"), T0_S + 4.0
+    (outcome,) = flown(play, told(fault(1, 3.0, safe=["breach"]), t_s=3.0), crash).outcomes
+    assert (outcome.outcome, outcome.is_safe) == ("breach", is_safe)
 
 
 def test_a_vehicle_that_is_out_has_landed_and_the_operators_own_landing_is_none(play):

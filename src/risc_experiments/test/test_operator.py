@@ -224,6 +224,17 @@ def test_presses_again_when_a_takeoff_was_not_heard():
     assert flight.finish().operator.result is OperatorResult.OK
 
 
+def test_why_a_take_off_was_refused_is_said():
+    flight = Flight()
+    flight.vehicles["risc2"].obeys.remove("takeoff")
+    flight.run(lambda: flight.vehicles["risc2"].count(TAKEOFF_LAND) == 1)
+    flight.operator.vehicles["risc2"].refusals = ["carry it inside", "battery low"]
+    flight.step()
+    assert "risc2 (take-off refused: carry it inside; battery low)" in flight.operator.phase_text
+    flight.finish()
+    assert "carry it inside" in flight.operator.reason
+
+
 @pytest.mark.parametrize(
     ("order", "text"),
     [("takeoff", "no hover within 20 s: risc2"), ("toggle", "no autonomous mode within 10 s: risc2")],
@@ -558,7 +569,7 @@ def test_after_a_flight_that_was_given_up_it_waits_until_all_are_ready():
     flight.finish()
     assert flight.operator.fly_again(flight.now_s) == ""
     flight.run(Phase.ABORTED)
-    assert "risc1 no navdata" in flight.operator.reason
+    assert "not ready" in flight.operator.reason and "risc1 no report" in flight.operator.reason
     flight.vehicles["risc1"].connected = True
     assert flight.operator.fly_again(flight.now_s) == ""
     flight.finish()

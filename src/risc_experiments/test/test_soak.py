@@ -323,7 +323,9 @@ def test_a_real_process_that_ends_is_missed_and_its_successor_is_another_one(toy
 
 
 def fault(name, outcome="completed", safe=True, **reactions_ms):
-    return {"name": name, "args": "1", "outcome": outcome, "safe": safe, "reactions_ms": reactions_ms}
+    return {
+        "name": name, "args": "1", "outcome": outcome, "safe": safe, "reactions_ms": reactions_ms, "flying": 2,
+    }  # fmt: skip
 
 
 def write(folder, faults, tail=""):
@@ -340,7 +342,7 @@ def write(folder, faults, tail=""):
 
 def test_faults_of_several_soaks_add_up(tmp_path, capsys):
     first = [fault("jump", risc1=100.0, risc2=200.0), fault("wind", outcome="held")]
-    second = [fault("jump", outcome="landed", safe=False, risc1=300.0)]
+    second = [fault("jump", outcome="landed", safe=False, risc1=300.0), fault("jump") | {"flying": 0}]
     folders = [write(tmp_path / "a", first), write(tmp_path / "b", second, tail='{"time": "2')]
     row, wind = table.rows_of(table.read(folders[0]) + table.read(folders[1]))
     assert (row["fault"], row["events"], row["reactions"], row["p50_ms"], row["max_ms"]) == ("jump", 2, 3, 200.0, 300.0)

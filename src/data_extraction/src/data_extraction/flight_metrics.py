@@ -121,7 +121,7 @@ class FlightCollector(Collector):
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
         # Programs start before the operator's first phase that is not waiting, and end after its result.
-        self._begun_s, self._over_s = -np.inf, np.inf
+        self._begun_s, self._over_s, self._waited_s = -np.inf, np.inf, -np.inf
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
@@ -148,9 +148,11 @@ class FlightCollector(Collector):
         elif topic.endswith("trajectory_phase"):
             self._recording.phases(receipt_s, message)
         elif topic == "/operator/phase":
-            if self._begun_s == -np.inf and message.phase != OperatorPhase.WAITING:
+            if message.phase == OperatorPhase.WAITING:  # what was said before is of another flight
+                self._begun_s, self._over_s, self._waited_s = -np.inf, np.inf, seconds(message.header.stamp)
+            elif self._begun_s == -np.inf:
                 self._begun_s = receipt_s
-        elif topic == "/operator/result":
+        elif topic == "/operator/result" and seconds(message.header.stamp) >= self._waited_s:
             self._over_s = min(self._over_s, receipt_s)
 
     def wants(self, topic):

@@ -102,9 +102,10 @@ def main(argv=None):
         if soak.began_s is None:
             return 1
         raise
-    output.write_all(soak)
+    result = output.write_all(soak)
     progress.clear()
-    print(output.text(soak))
+    print(output.markdown(result))
+    print("all of it: %s" % (soak.folder / "soak.html"))
     return 1 if soak.violation is not None else 130 if soak.interrupted else 0
 
 

@@ -55,7 +55,15 @@ def judge_flight(folder, asked, failure):
         reasons += [] if failure else [never_began(found, asked, len(namespaces))]
     return {
         "asked": asked,
-        "faults": found.figures(),
+        "faults": [
+            {
+                **figures,
+                "flying": sum(
+                    name not in found.out or found.out[name].time_s > outcome.begin_s for name in namespaces.values()
+                ),
+            }
+            for figures, outcome in zip(found.figures(), found.outcomes)
+        ],
         "reasons": [reason for reason in reasons if reason],
         "out": {name: out.reason for name, out in sorted(found.out.items())},
         "latency_ms": percentiles_ms(flight.latency_s["datagram_to_cmd_vel"]),

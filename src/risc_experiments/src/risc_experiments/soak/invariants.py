@@ -82,9 +82,9 @@ def not_ready(waited_s, why, limits):
     )
 
 
-def error(node, text, fault_began):
+def error(node, text, explained):
     """Violation of an error in a log; None where a fault of this flight may be why."""
-    return None if fault_began else Violation("log", "error of %s that no fault explains: %s" % (node, text))
+    return None if explained else Violation("log", "error of %s that no fault explains: %s" % (node, text))
 
 
 def traceback(text):

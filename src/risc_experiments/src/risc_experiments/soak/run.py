@@ -10,13 +10,15 @@ import sys
 import time
 from collections import Counter
 
+import numpy as np
+
 from data_extraction.flight_metrics import percentiles_ms
 from data_extraction.report.origin import FLIGHT, PARAMETERS
 from risc_experiments import fly
 from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.headroom import Headroom
 from risc_experiments.operator import time_limit_s
-from risc_experiments.soak import invariants, script
+from risc_experiments.soak import invariants, script, table
 from risc_experiments.soak.drift import Track
 from risc_experiments.soak.flight import BAG, FAULTS, FLEET, JUDGED
 from risc_experiments.soak.processes import Processes
@@ -331,7 +333,7 @@ class Soak:
             if phase != said:
                 said = phase
                 self.record.add("phase", flight=self.number, phase=phase.name.lower())
-            self._tick("starting" if phase is None else phase.name.lower())
+            self._tick("starting" if phase is None else phase.name.lower(), self._watch.text)
             waited_s = time.monotonic() - asked_s
             if phase is None or phase == OperatorPhase.WAITING:
                 self._look_before(phase)
@@ -406,9 +408,9 @@ class Soak:
 
     # ------------------------------------------------------------------ what is looked at all the time
 
-    def _tick(self, phase):
+    def _tick(self, phase, text=""):
         """A short while, and a look at everything. Raises EndError."""
-        self._progress.show("flight %d" % self.number, "%-8s %s" % (phase, self._watch.text))
+        self._progress.show("flight %d" % self.number, "%-8s %s" % (phase, text))
         if self._interrupt.wait(LOOK_S):
             raise EndError
         if not self._launch.running():
@@ -421,9 +423,9 @@ class Soak:
             self._check(invariants.crash(crash.vehicle, crash.reason, self._watch.safe or ()))
         while self._watch.errors:
             node, text = self._watch.errors.popleft()
-            began = self._watch.safe is not None
-            self.record.add("error", flight=self.number, node=node, text=text, explained=began)
-            self._check(invariants.error(node, text, began))
+            explained = self._watch.safe is not None or self.began_s is None  # nodes start before those that they need
+            self.record.add("error", flight=self.number, node=node, text=text, explained=explained)
+            self._check(invariants.error(node, text, explained))
         self._judged()
         now_s = self.record.time_s
         if now_s >= self._check_s:
@@ -488,7 +490,7 @@ class Soak:
         self.record.add("judged", flight=number, **{key: judged[key] for key in judged if key != "faults"})
         for fault in judged["faults"]:
             self.record.add("fault", flight=number, **fault)
-        self.faults += judged["faults"]
+        self.faults += table.counted(judged["faults"])
         self.flights.append({"number": number, **{key: judged[key] for key in judged if key != "faults"}})
         latency_ms = judged["latency_ms"]
         if latency_ms["p99"] is not None:
@@ -496,13 +498,14 @@ class Soak:
         violation = invariants.flight(judged, self.params.limits)
         violation = violation or invariants.latency(self.latencies, self.warm_s, self.params)
         if violation is not None:
-            self.violated = number
+            if self.violation is None:
+                self.violated = number
             raise EndError(violation)
         self._remove_bags(number)
 
     def _remove_bags(self, newest):
         """Those of flights in which nothing was wrong, but for the newest."""
-        for number in range(1, newest - self.params.keep_flights + 1):
+        for number in set(range(1, newest - self.params.keep_flights + 1)) - {self.violated}:
             (self.folder_of(number) / BAG).unlink(missing_ok=True)
 
     # ------------------------------------------------------------------ for people
@@ -510,7 +513,7 @@ class Soak:
     def reactions_ms(self):
         """Percentiles of all reactions so far."""
         reactions_ms = [ms for fault in self.faults for ms in fault["reactions_ms"].values()]
-        return percentiles_ms([1e-3 * ms for ms in reactions_ms])
+        return percentiles_ms(1e-3 * np.array(reactions_ms))
 
     def line(self):
         """How it goes, in a line."""

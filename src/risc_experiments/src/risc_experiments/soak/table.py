@@ -23,7 +23,12 @@ def read(folder):
                 break
             if entry["kind"] == "fault":
                 faults.append(entry)
-    return faults
+    return counted(faults)
+
+
+def counted(faults):
+    """Those that began while somebody flew."""
+    return [fault for fault in faults if fault["flying"]]
 
 
 def rows_of(faults):
