@@ -55,8 +55,9 @@ class ProgramFaults:
         with self._changed:
             for event in events:
                 begins = now + rospy.Duration.from_sec(event.start_s)
-                record = FaultRecord(len(self._acts) + 1, event.fault, event.args, "", begins, rospy.Time(), False)
-                record.safe = list(event.settings.safe)
+                safe = list(event.settings.safe)
+                number, ends = len(self._acts) + 1, rospy.Time()  # without end, until it is known
+                record = FaultRecord(number, event.fault, event.args, "", begins, ends, False, safe)
                 self._acts.append(_Act(record, event))
                 self._plan(now_s + event.start_s, self._begin, self._acts[-1])
             self._tell()
