@@ -25,6 +25,7 @@ from risc_maap_msgs.msg import OperatorState, Safety, TakeoffRefusals, Trajector
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
 SERVICE_TIMEOUT_S = 5.0
+_TAKEN_OFF = "~taken_off"  # remembered by the master for an operator that is started again
 
 
 class VirtualOperator:
@@ -41,7 +42,10 @@ class VirtualOperator:
         self._home = rospy.ServiceProxy(self._go_home, Trigger, persistent=True)
         self._lock = threading.Lock()
         go_home = partial(start, self._call_home)
-        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing)
+        again = rospy.get_param(
+            _TAKEN_OFF, False
+        )  # launch files clear it, roslaunch does not when it starts a node again
+        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing, again)
         self._watched = {vehicle.template: self._operator.vehicles[vehicle.namespace] for vehicle in flown}
         self._landing = set()  # vehicles whose service is being called
         self._said = None  # the newest state that was sent, as `_state` gives it
@@ -132,6 +136,8 @@ class VirtualOperator:
         """Publish it when it is new; the caller holds the lock, so that no older one follows."""
         if state == self._said:
             return
+        if self._said is not None and self._said[0] != state[0] == OperatorPhase.TAKEOFF:
+            start(rospy.set_param, _TAKEN_OFF, True)
         self._said, before = state, self._said
         self._phase.publish(state_message(state))
         rospy.loginfo("operator: phase %s", self._operator.phase_text)
