@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The virtual operator: flies an experiment by pressing buttons of virtual joysticks; see risc_experiments.operator."""
 
+import contextlib
 import threading
 import time
 from functools import partial
@@ -12,7 +13,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.vehicles import adapter_class
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
-from risc_lab.phases import OperatorResult, TrajectoryPhase
+from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
@@ -37,6 +38,7 @@ class VirtualOperator:
         flown = vehicles()
         wanted = [vehicle.namespace for vehicle in flown]
         self._go_home = rospy.get_param("~trajectory_node", "/trajectory_node") + "/go_home"
+        self._home = rospy.ServiceProxy(self._go_home, Trigger, persistent=True)
         self._lock = threading.Lock()
         go_home = partial(start, self._call_home)
         self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing)
@@ -62,6 +64,7 @@ class VirtualOperator:
             "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
         )
         paced("/cortex_raw", CortexArrays, self._locked(self._on_states))
+        start(self._connect_home)
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
 
@@ -139,9 +142,22 @@ class VirtualOperator:
         answer = rospy.ServiceProxy(service, Trigger)()
         return answer.success, answer.message
 
+    def _connect_home(self):
+        """Ask once while all stand, when nobody obeys: then the connection is there, whatever becomes of the master."""
+        with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
+            rospy.wait_for_service(self._go_home, SERVICE_TIMEOUT_S)
+            with self._lock:
+                waits = self._operator.phase == OperatorPhase.WAITING
+            if waits:
+                self._home()
+
     def _call_home(self):
         try:
-            done, said = self._call(self._go_home)
+            try:
+                answer = self._home()
+                done, said = answer.success, answer.message
+            except rospy.ServiceException:  # it was started again
+                done, said = self._call(self._go_home)
             problem = "" if done else said or "refused"
         except (rospy.ROSException, rospy.ServiceException) as error:
             problem = "%s (%s)" % (self._go_home, error)

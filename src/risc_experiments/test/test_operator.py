@@ -189,6 +189,22 @@ def test_waits_says_for_what_and_gives_up(spoil, text):
         assert TAKEOFF_LAND not in [button for _, button in vehicle.presses] or vehicle is flight.vehicles["risc2"]
 
 
+def test_an_operator_that_is_started_again_in_flight_lands_all():
+    """It does not wait for them to stand, and then take off again."""
+    flight = Flight(3).on_course()
+    flight.vehicles["risc2"].safety = (FailsafeLevel.LAND, "joystick silent")
+    flight.vehicles["risc3"].state = FlightState.LANDED
+    params = OperatorParams(duration=10.0)
+    flight.operator = Operator(list(flight.vehicles), params, flight.now_s, flight.go_home, flight.landings.append)
+    flight.phases.clear()
+    flight.finish()
+    assert flight.phases == [Phase.WAITING, Phase.LAND, Phase.ABORTED] and not flight.operator.flight_failed
+    causes = {name: cause for name, cause, _ in flight.operator.out}
+    assert causes == {"risc1": OutCause.MANUAL, "risc2": OutCause.LADDER}
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+    assert flight.vehicles["risc3"].count(TAKEOFF_LAND) == 1, "the take-off of before"
+
+
 def test_starts_when_the_last_one_is_ready():
     flight = Flight()
     flight.vehicles["risc3"].seen = False

@@ -26,6 +26,7 @@ from risc_lab.settings import Count, NotNegative, Settings
 JOY_RATE_HZ = 10.0  # of its joysticks; once a message it looks, decides and presses
 _PRESS_MESSAGES = 2  # a button is down in so many messages, and up in at least as many: no late clock loses an edge
 _LAND_AGAIN_S = 2.0
+_LISTEN_S = 1.0  # to whoever is flying already
 _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
 _TOGGLE_AGAIN_S = 1.0
@@ -134,6 +135,10 @@ class Watched:
         """True until it has reported that it stands, late enough after the last take-off that was pressed."""
         return self._in_air or self._ground_s < self.takeoff_s + _TAKEOFF_PENDING_S
 
+    def flies(self, params, now_s):
+        """True when its newest report is that it is in the air."""
+        return self._in_air and not self.is_silent(params, now_s)
+
     def is_silent(self, params, now_s):
         """True when its newest report tells nothing any more."""
         return now_s - self.reported_s > params.report_timeout
@@ -231,6 +236,13 @@ class Operator:
         getattr(self, "_" + self.phase.name.lower())(now_s)
 
     def _waiting(self, now_s):
+        flying = [w for w in self.vehicles.values() if w.flies(self._params, now_s)]
+        if flying and now_s - self._since_s > _LISTEN_S:  # this program was started again: what was flown is not known
+            for w in flying:
+                cause = OutCause.LADDER if w.safety == FailsafeLevel.LAND else OutCause.MANUAL
+                w.leave(cause, "was in flight when the operator was started")
+            self._land_all("vehicles were in flight when the operator was started", now_s)
+            return
         missing = {name: w.not_ready(self._params, now_s) for name, w in self.vehicles.items()}
         self.text = "; ".join("%s %s" % item for item in missing.items() if item[1])
         if self.text:
