@@ -7,12 +7,12 @@ import rospy
 from rosgraph_msgs.msg import Log
 from std_srvs.srv import Trigger
 
+from data_extraction.report.faults import FAULT_TOPICS
 from risc_experiments.ros.watch import Watch
 from risc_maap_msgs.msg import Crash, Faults, VehicleStatus
 from risc_maap_msgs.srv import InjectFault, PutBack
 
 CALL_PATIENCE_S = 5.0
-_FAULTS = ("/virtual_lab/faults",)
 
 
 class SoakWatch(Watch):
@@ -29,7 +29,7 @@ class SoakWatch(Watch):
         self._over, self._newest = {}, {}  # by topic: id of the newest fault of flights before, of all
         super().__init__()
         rospy.Subscriber("/virtual_lab/crash", Crash, self.crashes.append, queue_size=100, tcp_nodelay=True)
-        for topic in _FAULTS:
+        for topic in FAULT_TOPICS:
             rospy.Subscriber(topic, Faults, self._on_faults, topic, queue_size=100, tcp_nodelay=True)
         rospy.Subscriber("/rosout_agg", Log, self._on_log, queue_size=1000, tcp_nodelay=True)
         for name in namespaces:
