@@ -474,11 +474,13 @@ class Soak:
         looks = self.processes.look(now_s)
         self.flown_s = now_s - self.began_s
         cores = {process.name: process.cpu_cores for process in self.processes.living}
+        pids = {process.name: process.key[0] for process in self.processes.living}
         sums = {name: sum(getattr(look, name) for look in looks.values()) for name in
                 ("pss_mb", "own_mb", "descriptors", "threads")}  # fmt: skip
         self.totals.add(now_s, *sums.values(), sum(cores.values()))
         told = {
             name: {
+                "pid": pids[name],
                 **{key: round(value, 2) for key, value in look._asdict().items()},
                 "cpu_cores": round(cores[name], 4) if cores[name] == cores[name] else None,
             }
