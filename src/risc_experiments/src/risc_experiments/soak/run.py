@@ -473,14 +473,14 @@ class Soak:
     def _sample(self, now_s):
         looks = self.processes.look(now_s)
         self.flown_s = now_s - self.began_s
-        cores = {process.name: process.cpu_cores for process in self.processes.living}
-        pids = {process.name: process.key[0] for process in self.processes.living}
+        processes = {process.name: process for process in self.processes.known}  # of a name the newest
+        cores = {name: processes[name].cpu_cores for name in looks}
         sums = {name: sum(getattr(look, name) for look in looks.values()) for name in
                 ("pss_mb", "own_mb", "descriptors", "threads")}  # fmt: skip
-        self.totals.add(now_s, *sums.values(), sum(cores.values()))
+        self.totals.add(now_s, *sums.values(), sum(value for value in cores.values() if value == value))
         told = {
             name: {
-                "pid": pids[name],
+                "pid": processes[name].key[0],
                 **{key: round(value, 2) for key, value in look._asdict().items()},
                 "cpu_cores": round(cores[name], 4) if cores[name] == cores[name] else None,
             }
