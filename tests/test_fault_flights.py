@@ -1,11 +1,24 @@
 """Whole flights of the whole graph in which something goes wrong, as `./maap fly --fault` makes them."""
 
 import math
+import os
+import signal
+import subprocess
+import threading
+import time
+from dataclasses import replace
 
 import pytest
-from flying import fly
+import yaml
+from flying import ROOT, fly
 
+from risc_experiments.programs import find
+from risc_lab.lab import load_fleet
+from risc_lab.ros.launching import MARK, Launch, PortReservation, end_processes, free_tcp_port
 from risc_simulator.faults import REGISTRY, fault_settings
+from risc_simulator.models.flight import FlightPhase
+from risc_simulator.socket_host import Told
+from risc_simulator.virtual_lab import VirtualLab
 
 pytestmark = pytest.mark.alone
 SHORT = ("--vehicles", "1", "--duration", "8", "--mocap-rate", "100")
@@ -126,3 +139,83 @@ def test_the_recorder_may_hang_but_not_die_and_who_is_not_there_is_named(tmp_pat
     ):
         code, output, _ = flown(tmp_path / name, fault, options=THREE)
         assert code == 1 and cause in output.splitlines()[-1], output
+
+
+IDENTITY = "a flight of test_fault_flights"
+LIMIT_S = 120.0
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """A virtual lab of three that no launch file owns, and the arguments of one that flies them."""
+    reservation = PortReservation()
+    fleet = load_fleet(ROOT / "launch" / "fleets" / "ardrones3.yaml").in_subnet(reservation.subnet)
+    fleet = replace(fleet, mocap=replace(fleet.mocap, rate_hz=100.0))
+    path = tmp_path / "fleet.yaml"
+    path.write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False))
+    lab, stop = VirtualLab(load_fleet(path), seed=1), threading.Event()
+    lab.launch_arguments = {"lab": "false", "fleet": path, "rate": 100, "duration": 300}
+    runner = threading.Thread(target=lab.run, args=(stop,), daemon=True)
+    runner.start()
+    yield lab
+    stop.set()
+    runner.join()
+    lab.close()
+    reservation.close()
+
+
+def wait_for(condition):
+    deadline_s = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+
+
+def all_told(lab, told):
+    return all(host.told is told for host in lab.vehicle_hosts.values())
+
+
+def all_landed(lab):
+    return all(vehicle.phase is FlightPhase.LANDED for vehicle in lab.world.vehicles.values())
+
+
+@pytest.mark.release
+def test_a_roslaunch_that_owns_the_master_lands_all_vehicles_when_that_dies(lab, tmp_path):
+    port = free_tcp_port()
+    environment = dict(
+        os.environ, ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1", ROS_HOME=str(tmp_path)
+    )
+    words = ["%s:=%s" % item for item in lab.launch_arguments.items()]
+    command = ["roslaunch", "-p", str(port), str(ROOT / "launch" / "circles3.launch"), *words]
+    with (tmp_path / "roslaunch.log").open("wb") as log:
+        launch = subprocess.Popen(
+            command, env=dict(environment, **{MARK: IDENTITY}), stdout=log, stderr=log, start_new_session=True
+        )
+    try:
+        wait_for(lambda: all_told(lab, Told.FLY))
+        find(IDENTITY, "master").kill()
+        wait_for(lambda: all_told(lab, Told.LAND) and all_landed(lab))
+        wait_for(lambda: launch.poll() is not None)
+        assert not lab.world.crashes
+    finally:
+        launch.send_signal(signal.SIGINT)
+        launch.wait(LIMIT_S)
+        end_processes(IDENTITY)
+
+
+@pytest.mark.release
+def test_beside_a_roscore_of_its_own_the_fleet_flies_on_and_lands_when_roslaunch_ends(lab, tmp_path):
+    port = free_tcp_port()
+    launch = Launch(ROOT / "launch" / "circles3.launch", lab.launch_arguments, tmp_path, port)
+    try:
+        wait_for(lambda: all_told(lab, Told.FLY))
+        find(launch.identity, "master").kill()
+        until_s = lab.world.time_s + 10.0
+        while lab.world.time_s < until_s:
+            assert all_told(lab, Told.FLY) and launch.running()
+            time.sleep(0.05)
+    finally:
+        killed = launch.stop()
+    assert not killed
+    wait_for(lambda: all_landed(lab))
+    assert not lab.world.crashes

@@ -423,6 +423,8 @@ def _follow(args, folder, launch, watch, programs, progress, interrupted, page=N
             try:
                 programs.check(on_programs)
             except LookupError as error:
+                if not launch.running():
+                    return "a node that the flight needs has died (see roslaunch.log)"
                 raise FlightError("--fault: %s" % error) from error
             try:
                 write_parameters(watch.parameters(), folder)

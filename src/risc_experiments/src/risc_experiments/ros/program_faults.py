@@ -111,7 +111,6 @@ class ProgramFaults:
         act.record.begins, act.record.active = rospy.Time.now(), True
         act.call("begin")
         self._tell()
-        rospy.loginfo("fault %s: process %d, %s", event, act.program.process.pid, act.program.node)
         if act.program.killed:
             self._killed.add(act.program.process.pid)
             self._plan(now_s + _AGAIN_S, self._look_for_another, act)
