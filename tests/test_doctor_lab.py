@@ -25,6 +25,7 @@ from risc_doctor.ros_master import Master, MasterError
 from risc_lab.lab import load_fleet, load_templates
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 from risc_simulator.cortex_host import CortexHost
+from risc_simulator.faults import parse_fault
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
 
@@ -138,12 +139,12 @@ def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
 
 def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
     def trouble(the_lab):
-        the_lab.set_battery_pct("risc2", 9.0)
-        the_lab.lose_link("risc3", 3600.0)
+        the_lab.world.vehicles["risc2"].set_battery_pct(9.0)
+        the_lab.inject(parse_fault("link_blackhole:600,risc3"))
 
     def mend(the_lab):
-        the_lab.set_battery_pct("risc2", 90.0)
-        the_lab.lose_link("risc3", 0.0)
+        the_lab.world.vehicles["risc2"].set_battery_pct(90.0)
+        the_lab.end_faults()
 
     lab.do(trouble)
     found, code = doctor(lab.fleet, tmp_path, "--only", "vehicles")

@@ -18,7 +18,6 @@ pytestmark = pytest.mark.alone
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 GONE_S = 60.0  # longer than the rest of the flight
 LATE_S = 1.0  # what a busy computer may add to the limits of the ladder
-WIRE_FAULT = "/virtual_lab/wire_fault"
 
 
 def process_of(folder, word):
@@ -28,18 +27,18 @@ def process_of(folder, word):
     return process
 
 
-def publish(folder, topic, kind, content):
-    """Publish one message into the graph of a flight."""
-    master = process_of(folder, "/rosmaster").environ()
-    command = ["rostopic", "pub", "-1", topic, kind, content]
-    environment = dict(os.environ, ROS_MASTER_URI=master["ROS_MASTER_URI"], ROS_IP="127.0.0.1")
-    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL, timeout=60.0)
-
-
 def cut_off(channel, fault="blackhole"):
     """Something happens to a wire of the vehicle."""
-    content = "{fault: %s, channel: %s, severity: 1.0, duration_s: %g}" % (fault, channel, GONE_S)
-    return lambda folder: publish(folder, WIRE_FAULT, "risc_maap_msgs/WireFault", content)
+    request = "{fault: '%s:duration_s=%g,channel=%s', start_s: 0.0}" % (fault, GONE_S, channel)
+
+    def inject(folder):
+        master = process_of(folder, "/rosmaster").environ()
+        environment = dict(os.environ, ROS_MASTER_URI=master["ROS_MASTER_URI"], ROS_IP="127.0.0.1")
+        command = ["rosservice", "call", "/virtual_lab/inject", request]
+        answer = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=60.0)
+        assert "success: True" in answer.stdout, answer.stdout
+
+    return inject
 
 
 def kill(word):

@@ -14,6 +14,7 @@ import uuid
 import netlab
 import psutil
 import pytest
+from flying import end, left_behind, start, wait_for_line
 
 from risc_lab.lab import load_fleet
 
@@ -53,15 +54,14 @@ def test_what_listens_in_the_code_is_on_the_page():
     assert listening == named, "what opens ports, and what docs/security.md says of it"
 
 
-def sockets_of(process):
-    """{(kind, port)} and addresses of what a process hears by: bound UDP sockets and TCP listeners."""
+def heard_by(pid):
+    """[(kind, port, address)] of what a process hears by: bound UDP sockets and TCP listeners."""
     kinds = {socket.SOCK_DGRAM: "UDP", socket.SOCK_STREAM: "TCP"}
-    heard = [
-        entry
-        for entry in psutil.Process(process.pid).net_connections("inet")
+    return [
+        (kinds[entry.type], entry.laddr.port, entry.laddr.ip)
+        for entry in psutil.Process(pid).net_connections("inet")
         if entry.laddr and (entry.type == socket.SOCK_DGRAM or entry.status == psutil.CONN_LISTEN)
     ]
-    return {(kinds[entry.type], entry.laddr.port) for entry in heard}, {entry.laddr.ip for entry in heard}
 
 
 @pytest.mark.parametrize("fleet", ["ardrones3.yaml", "iris1.yaml"])
@@ -89,7 +89,8 @@ def test_a_virtual_lab_hears_what_the_page_says(fleet, tmp_path):
             while expected not in heard:
                 assert lab.poll() is None and time.monotonic() < deadline, (tmp_path / "log").read_text()
                 with contextlib.suppress(psutil.Error):
-                    heard, addresses = sockets_of(lab)
+                    entries = heard_by(lab.pid)
+                    heard, addresses = {entry[:2] for entry in entries}, {entry[2] for entry in entries}
         finally:
             lab.terminate()
             lab.wait()
@@ -97,6 +98,63 @@ def test_a_virtual_lab_hears_what_the_page_says(fleet, tmp_path):
     sends_only = {item for item in heard if item[0] == "UDP" and item not in told}
     assert len(sends_only) <= 1 and heard - sends_only <= told
     assert all(address.startswith("127.") or address == "255.255.255.255" for address in addresses)
+
+
+PROGRAMS = {  # by which the page calls them -> what is in their command lines
+    "stream_markers": "/stream_markers ", "ardrone_driver": "/ardrone_driver ", "roscopter": "/roscopter/",
+    "serial_node.py": "/serial_node.py ", "live_view": "/live_view ", "./maap fly": "risc_experiments.fly ",
+}  # fmt: skip
+EVERYWHERE = ("0.0.0.0", "::")
+MOST_OF_ROS = 2  # listeners of a node: for its XML-RPC and for its topics; the master and roslaunch have one
+
+
+def not_on_the_page(folder):
+    """["KIND PORT at ADDRESS: command line"] of what programs of a flight hear by, and the page does not tell."""
+    page, stream_port = tables(), load_fleet(folder / "fleet.yaml").mocap.stream_port
+    found = []
+    for pid in left_behind(folder):
+        command, of_ros = command_of(pid), 0
+        rows = [row for row in page["What listens"] if any("`" + name in row[0] for name in names_in(command))]
+        told = [row[1] for row in rows + (page["The virtual lab"] if "virtual_lab" in command else [])]
+        for kind, port, address in heard_by(pid):
+            if (kind, port) == ("UDP", stream_port):
+                port = 1001  # every flight has one of its own
+            if any(is_told(kind, port, address, cell) for cell in told):
+                continue
+            of_ros += kind == "TCP" and address in EVERYWHERE
+            if kind == "UDP" or address not in EVERYWHERE or of_ros > MOST_OF_ROS:
+                found.append("%s %d at %s: %s" % (kind, port, address, command[:200]))
+    return found
+
+
+def command_of(pid):
+    return " ".join(psutil.Process(pid).cmdline())
+
+
+def names_in(command):
+    """Names by which the page calls the program of a command line."""
+    return [name for name, part in PROGRAMS.items() if part in command]
+
+
+def is_told(kind, port, address, cell):
+    """Whether the cell of a row's ports has it."""
+    has_port = re.search(r"%s[^,;]* %d\b" % (kind, port), cell) or re.search("%s.*any port" % kind, cell)
+    return bool(has_port) and (address not in EVERYWHERE or "`*`" in cell)
+
+
+@pytest.mark.release
+@pytest.mark.alone
+@pytest.mark.parametrize("flight", [("--browser",), ("iris",)])
+def test_a_whole_flight_hears_what_the_page_says(flight, tmp_path):
+    process = start(tmp_path, *flight, "--duration", "5")
+    try:
+        wait_for_line(process, tmp_path, "takeoff")
+        programs = {name for pid in left_behind(tmp_path) for name in names_in(command_of(pid))}
+        found = not_on_the_page(tmp_path)
+    finally:
+        end(process, tmp_path)
+    assert programs > {"stream_markers", "roscopter" if "iris" in flight else "live_view"}
+    assert found == []
 
 
 # --- the firewall -----------------------------------------------------------------------------------------------------

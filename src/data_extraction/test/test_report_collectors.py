@@ -713,6 +713,13 @@ def test_a_breach_is_what_touched_left_or_stayed_up(play, rows):
     assert before.outcome == "completed", "what came before is not its own"
 
 
+@pytest.mark.parametrize("other, is_safe", [("", True), ("risc2", False)])
+def test_a_fall_may_be_safe_but_not_onto_another_vehicle(play, other, is_safe):
+    crash = "/virtual_lab/crash", Crash(vehicle="risc1", other=other, reason="fell"), T0_S + 4.0
+    (outcome,) = flown(play, told(fault(1, 3.0, safe=["breach"]), t_s=3.0), crash).outcomes
+    assert (outcome.outcome, outcome.is_safe) == ("breach", is_safe)
+
+
 def test_a_vehicle_that_is_out_has_landed_and_the_operators_own_landing_is_none(play):
     out = VehicleOut("risc1", OutCause.SILENT, "silent")
     after = said("risc1", 21.0, Safety.LAND, Safety.REQUEST)

@@ -97,7 +97,9 @@ class Desk:
 
     def __init__(self, iris=None, fly=None, **params):
         self.iris, self.now_s = iris or Iris(), 500.0
-        self.pilot = VehiclePilot(VehicleNodeParams(**{"joystick_timeout": 0.0, **params}), IRIS, self.now_s)
+        self.pilot = VehiclePilot(
+            VehicleNodeParams(**{"joystick_timeout": 0.0, "preflight": False, **params}), IRIS, self.now_s
+        )
         self.alive = {"state", "telemetry", "board", "radio", "node"}
         self.look, self.fly = ALONE, fly
         self.sent, self.said, self.states = [], [], []  # (time, Sticks); (time, level, text); FlightStates, in turn

@@ -37,7 +37,7 @@ class Desk:
     """
 
     def __init__(self, **params):
-        parsed = VehicleNodeParams(**{"joystick_timeout": 0.0, **params})
+        parsed = VehicleNodeParams(**{"joystick_timeout": 0.0, "preflight": False, **params})
         self.now_s = 500.0
         self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)
         self.flight_state = FlightState.LANDED
@@ -144,6 +144,7 @@ def _suspect(desk):
         (_see(position_m=(0.0, 1.95, 0.1)), "carry it inside"),
         (_see(phi_rad=0.4), "level floor"),
         (_lose("controls"), "controller has been silent"),
+        (lambda desk: [desk.pilot.on_markers(3, 4) for _ in range(3)], "3 of its markers, not 4 of 4"),
         (_suspect, "yaw jumped"),
         (lambda desk: setattr(desk.pilot, "_nearest", lambda: (0.4, "albatross")), "from albatross"),
     ],
@@ -155,19 +156,28 @@ def test_preflight_checks_refuse_a_take_off_and_say_what_to_do(trouble, words):
         orders = desk.press(TAKEOFF_LAND)
         assert orders.takeoff is not preflight
         assert (words in texts(orders)) is preflight, texts(orders)
+        assert len(orders.refusals) == preflight and all(words in text for text in orders.refusals)
 
 
 def test_preflight_checks_let_take_off_what_is_ready():
     desk = Desk(preflight=True)
     desk.pilot._nearest = lambda: (0.6, "albatross")
     assert desk.press(TAKEOFF_LAND).takeoff
+    for markers in ([(3, 4), (4, 4), (3, 4)], []):  # one was hidden for a moment; nobody tells
+        desk = Desk(preflight=True)
+        for counted in markers:
+            desk.pilot.on_markers(*counted)
+        assert desk.press(TAKEOFF_LAND).takeoff
+    desk = Desk(preflight=True, preflight_markers=3)
+    desk.pilot.on_markers(3, 4)
+    assert desk.press(TAKEOFF_LAND).takeoff
     desk = Desk(preflight=True)
-    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0, preflight=True), ARDRONE, desk.now_s)
+    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0), ARDRONE, desk.now_s)
     desk.alive.discard("controls")  # nobody was heard: it is flown by hand
     desk.run(0.5)
     assert desk.press(TAKEOFF_LAND).takeoff
     desk = Desk(preflight=True)
-    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0, preflight=True), ARDRONE, desk.now_s)
+    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0), ARDRONE, desk.now_s)
     desk.alive.discard("state")
     desk.run(0.5)
     assert "has not seen it" in texts(desk.press(TAKEOFF_LAND))

@@ -41,6 +41,7 @@ from risc_maap_msgs.msg import Safety, VehicleNodeStatus, VehicleStatus
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
+TURN_DEG_S = 18.0  # an AR.Drone does 20 (yaw_rate_max_rad_s)
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between sending and noting the time of receipt
 
 
@@ -57,6 +58,7 @@ class VehicleNodeTest(unittest.TestCase):
         self.world.flight_state = dict.fromkeys(TEMPLATES, LANDED)
         self.world.visible = dict.fromkeys(TEMPLATES, True)
         self.world.psi_deg = dict.fromkeys(TEMPLATES, 0.0)
+        self.world.turn_deg_s = dict.fromkeys(TEMPLATES, 0.0)
         self.world.running = True
 
     def test_1_names(self):
@@ -218,6 +220,17 @@ class VehicleNodeTest(unittest.TestCase):
         world.wait("risc1", "cmd_vel", is_flown)
         world.wait("risc3", "cmd_vel", is_flown)
         self.assertEqual(world.answers("risc2"), [])
+
+    def test_5_a_vehicle_that_turns_is_believed(self):
+        """As fast as it can, in degrees: with one unit for the other this is a jump, or the one above is none."""
+        world = self.world
+        world.fly()
+        world.forget()
+        world.turn_deg_s["risc2"] = TURN_DEG_S
+        wait_for(lambda: world.psi_deg["risc2"] > 60.0, "a turn")
+        world.turn_deg_s["risc2"] = -TURN_DEG_S  # the other tests begin at 0
+        wait_for(lambda: world.psi_deg["risc2"] < 1.0, "the turn back")
+        self.assertEqual([m for m in world.messages("risc2", "safety") if m.rule == Safety.SUSPECT], [])
 
     def test_6_errors_land_and_do_not_stop_the_clock(self):
         """A node in this process whose pilot is broken, as by an error that nobody has thought of."""

@@ -64,6 +64,7 @@ class World:
         self.controls = dict.fromkeys(self.templates, (0.0, 0.0, 0.0, HOVER_N))
         self.visible = dict.fromkeys(self.templates, True)
         self.psi_deg = dict.fromkeys(self.templates, 0.0)
+        self.turn_deg_s = dict.fromkeys(self.templates, 0.0)
         self.y_m = {vehicle: 1.5 * (k - 1) for k, vehicle in enumerate(templates)}  # none is near another one
         self.strays = set()  # vehicles whose references leave them
         self.passers = {}  # {template: y [m]} of vehicles that nobody here flies
@@ -100,8 +101,9 @@ class World:
 
     def _run(self):
         rate = rospy.Rate(200)
-        step = 0
+        step, turned_s = 0, time.monotonic()
         while not self._ended:
+            before_s, turned_s = turned_s, time.monotonic()
             if self.running:
                 self.sent_s = time.monotonic()  # before the stamp: no age is reckoned from an earlier moment
                 stamp = rospy.Time.now()
@@ -114,7 +116,8 @@ class World:
                 for vehicle, template in reversed(list(self.templates.items())):  # by name, not by index (D-27)
                     y_m = self.y_m[vehicle]
                     seen = States(name=template, visible=self.visible[vehicle], y=y_m, z=1.0)
-                    seen.x, seen.psi = random.gauss(0.0, NOISE_M), self.psi_deg[vehicle]
+                    self.psi_deg[vehicle] += self.turn_deg_s[vehicle] * (turned_s - before_s)
+                    seen.x, seen.psi = random.gauss(0.0, NOISE_M), (self.psi_deg[vehicle] + 180.0) % 360.0 - 180.0
                     states.Obj.append(seen)
                     reference = Trajectory(name=template, y=y_m, z=1.0)
                     if vehicle in self.strays:  # there and back again

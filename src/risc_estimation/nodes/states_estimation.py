@@ -30,7 +30,7 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import known_arena, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, StateCovariances
+from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, MarkerCount, StateCovariances
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -147,6 +147,9 @@ class StatesEstimationNode:
             last_s, silent = self._last_receipt_s, self._silent
             visible = 0 if self._last_estimate is None else int(self._last_estimate.visible.sum())
             bodies, passed_over = zip(names, self._estimator.status()), self._passed_over
+            poses = self._estimator.poses
+            seen = zip(names, poses.marker_counts, poses.present.tolist())
+            markers = [MarkerCount(name, *counts) for name, counts, is_present in seen if is_present]
         numbers = {key: value for key, value in sorted(vars(counts).items()) if key not in ("unknown", "frames")}
         known, unknown = len(names), sorted(counts.unknown)
         refused = counts.duplicate_stamps + counts.backward_stamps
@@ -159,6 +162,7 @@ class StatesEstimationNode:
             frames=counts.frames,
             passed_over=passed_over,
             counters=[Counter(*item) for item in numbers.items()],
+            markers=markers,
             unknown_bodies=unknown,
         )
         told.header.stamp = rospy.Time.now()

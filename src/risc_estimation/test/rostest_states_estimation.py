@@ -212,6 +212,8 @@ class StatesEstimationNodeTest(unittest.TestCase):
         else:
             self.fail("the refused frames are not counted: %r" % refused)
         self.assertEqual(status.unknown_bodies, ["stranger"])
+        self.assertTrue(status.markers)
+        self.assertTrue(all(3 <= counted.used <= counted.known for counted in status.markers), status.markers)
 
     def test_silence_is_announced_once_with_the_old_stamp(self):
         stamps = self.send_run(60)

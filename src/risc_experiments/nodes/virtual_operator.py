@@ -20,7 +20,7 @@ from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, params_from_dict, vehicles
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases, VehicleOut
+from risc_maap_msgs.msg import OperatorState, Safety, TakeoffRefusals, TrajectoryPhases, VehicleOut
 
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
@@ -60,6 +60,8 @@ class VirtualOperator:
             paced("/%s/controller_status" % name, Bool, self._locked(self._on_status), args=(watched,))
             on_safety = self._locked(self._on_safety)
             rospy.Subscriber("/%s/safety" % name, Safety, on_safety, watched, queue_size=10, tcp_nodelay=True)
+            topic, on_refusals = "/%s/takeoff_refusals" % name, self._locked(self._on_refusals)
+            rospy.Subscriber(topic, TakeoffRefusals, on_refusals, watched, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber(
             "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
         )
@@ -90,6 +92,9 @@ class VirtualOperator:
 
     def _on_safety(self, message, watched):
         watched.safety, watched.safety_reason = message.level, message.reason
+
+    def _on_refusals(self, message, watched):
+        watched.refusals = message.reasons
 
     def _on_phases(self, message):
         for vehicle in message.vehicles:

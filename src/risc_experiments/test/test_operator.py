@@ -224,6 +224,17 @@ def test_presses_again_when_a_takeoff_was_not_heard():
     assert flight.finish().operator.result is OperatorResult.OK
 
 
+def test_why_a_take_off_was_refused_is_said():
+    flight = Flight()
+    flight.vehicles["risc2"].obeys.remove("takeoff")
+    flight.run(lambda: flight.vehicles["risc2"].count(TAKEOFF_LAND) == 1)
+    flight.operator.vehicles["risc2"].refusals = ["carry it inside", "battery low"]
+    flight.step()
+    assert "risc2 (take-off refused: carry it inside; battery low)" in flight.operator.phase_text
+    flight.finish()
+    assert "carry it inside" in flight.operator.reason
+
+
 @pytest.mark.parametrize(
     ("order", "text"),
     [("takeoff", "no hover within 20 s: risc2"), ("toggle", "no autonomous mode within 10 s: risc2")],

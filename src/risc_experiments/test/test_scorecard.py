@@ -60,7 +60,7 @@ def test_a_row_is_made_of_all_its_flights():
     assert row.keys() >= ROW_KEYS
     assert (row["flights"], row["failed"], row["minutes"]) == (2, 1, 1.5)
     assert row["rmse_m"] == pytest.approx((0.5 * (0.01**2 + 0.03**2)) ** 0.5, abs=1e-6) and row["worst_m"] == 0.06
-    assert (row["events"], row["detected"], row["detect_p50_ms"]) == (4, 3, pytest.approx(100.0))
+    assert (row["events"], row["detected"], row["detect_p50_ms"], row["detect_p99_ms"]) == (4, 3, 100.0, 110.0)
     assert row["detected_by"] == {"hold": 3} and row["outcomes"] == {"held": 3, "completed": 1}
     assert (row["false_alarms"], row["breaches"], row["contacts"]) == (2, 0, 1)
     totals = totals_of([row, row])
@@ -77,6 +77,10 @@ def test_two_scorecards_differ_only_where_chance_does_not_explain_it():
     crashes = row_of(CELL, {seed: flown(0.01 + 1e-4 * seed, missed=1, breach=["it"]) for seed in range(1, 21)})
     found = {item["figure"] for item in compare([crashes], [row]) if item["significant"]}
     assert found == {"detected", "breaches"}
+    (missed,) = [item for item in compare([crashes], [row]) if item["figure"] == "detected"]
+    (hurt,) = [item for item in compare([crashes], [row]) if item["figure"] == "breaches"]
+    assert (missed["here"], missed["there"], hurt["here"], hurt["there"]) == (0.0, 1.0, 1.0, 0.0), "shares and rates"
+    assert output.compared(hurt)[5:7] == ["1.00 per minute", "0.00 per minute"]
     few = row_of(CELL, {1: flown(1.0)})
     assert not any(item["significant"] for item in compare([few], [row]) if item["figure"] == "rmse_m")
     assert compare([row], [row_of(CELL._replace(severity="severe"), {1: flown(1.0)})]) == []
@@ -185,8 +189,10 @@ def test_a_students_controller_takes_part_and_all_files_are_written(monkeypatch,
         (("--severities", "plague"), "unknown severity 'plague'"),
         (("--faults", "plague.yaml"), "plague.yaml"),
         (("--against", "plague.json"), "plague.json"),
-        (("--minutes", "0"), "--minutes"),
-        (("--seeds", "0"), "--seeds"),
+        (("--minutes", "0"), "argument --minutes: must be a number from 0.01 on, found 0"),
+        (("--seeds", "0"), "argument --seeds: must be a number from 1 on, found 0"),
+        (("--faults", "motor_loss"), "no grades"),
+        (("--json", "plague/card.json"), "no folder plague"),
         (("--faults", ","), "--faults"),
     ],
 )
@@ -196,6 +202,16 @@ def test_a_mistake_on_the_command_line_is_named(tmp_path, capsys, options, words
     said = capsys.readouterr().err
     assert words in said and "Traceback" not in said
     assert not list(tmp_path.iterdir())
+
+
+def test_it_is_said_when_two_were_flown_under_other_conditions():
+    card = card_of({CELL: {1: flown(0.01)}})
+    other = card | {"ladder": False, "settings": card["settings"] | {"flight_s": 30.0}}
+    assert output.differing_conditions(card, card) == []
+    assert output.differing_conditions(card, other) == ["ladder", "flight_s"]
+    card["against"] = {"file": "other.json", "conditions": ["ladder", "flight_s"], "differences": []}
+    text = page.render("scorecard.html", package_file("risc_experiments", "templates"), **output.page_values(card))
+    assert "(ladder, flight_s)" in text and "(ladder, flight_s)" in output.markdown(card)
 
 
 def test_the_page_has_the_style_of_the_reports():
@@ -225,4 +241,4 @@ def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
     _, control, said = run(capsys, tmp_path / "off", *options, "--no-ladder")
     assert control["ladder"] is False and control["totals"]["breaches"] + control["totals"]["contacts"] >= 1
     assert control["totals"]["unsafe"] >= 1 and "without the safety ladder" in said.out
-    assert "breach: flip severe" in said.out and "after the begin of flip" in said.out
+    assert "breach: flip severe" in said.out and "after the start of flip" in said.out

@@ -121,6 +121,12 @@ class Lab:
                 self.host.on_readable(sock, self.now_s)
         raise AssertionError("sockets stay readable")
 
+    def lose_link(self, duration_s):
+        """From now on nothing passes in either direction."""
+        everywhere = self.vehicle.namespace + "/*"
+        event = FaultEvent("link_blackhole", channel=everywhere, start_s=self.now_s, duration_s=duration_s)
+        self.host.wires.add(event)
+
     def run(self, seconds, ref=None, pcmd=None, every=5):
         """ref, pcmd: sent every 25 ms; None sends nothing. Returns the packets of this time."""
         self.packets = []
@@ -814,14 +820,14 @@ def test_link_loss_in_both_directions(lab):
     lab.fly()
     watcher = socket.create_connection((ADDRESS, lab.host.ports.control))
     lab.serve()
-    lab.host.lose_link(1.0)
-    assert lab.host.link_lost
+    lab.lose_link(1.0)
     watcher.sendall(b"x")
     lab.run(0.9, ref=START, pcmd=(1, 0.0, -1.0, 0.0, 0.0))
     assert lab.packets == []
     assert lab.vehicle.phase is FlightPhase.HOVERING  # nothing was heard
-    statistics = lab.host.statistics()
-    assert statistics["datagrams_lost_in"] >= 35 and statistics["datagrams_lost_out"] >= 175
+    counts = lab.host.wires.statistics()
+    assert counts["risc1/commands"]["sent"] >= 35 and counts["risc1/navdata"]["sent"] >= 175
+    assert counts["risc1/commands"]["delivered"] == counts["risc1/navdata"]["delivered"] == 0
     lab.run(0.5, ref=START, pcmd=(1, 0.0, -0.1, 0.0, 0.0))
     assert lab.packets and lab.packets[-1][0] & COM_WATCHDOG
     assert lab.vehicle.phase is FlightPhase.FLYING and not lab.state & COM_LOST
@@ -884,7 +890,7 @@ def stick(k):
 
 @pytest.mark.parametrize("loss_s", [0.3, 0.05])  # the delay ends within the loss, or after it
 def test_what_was_sent_before_a_link_loss_arrives_once(fake_lab, loss_s):
-    """In both directions, whether a fault holds it back beyond the loss's begin or end, or it has just come in."""
+    """In both directions, whether a fault holds it back beyond the loss's begin or its end."""
     lab = fake_lab()
     lab.connect()
     lab.run(0.5, ref=IDLE)
@@ -897,29 +903,31 @@ def test_what_was_sent_before_a_link_loss_arrives_once(fake_lab, loss_s):
     lab.run(0.1)  # navdata on its way
     lab.client.raw(stick(901))
     lab.run(0.05)
-    lab.client.raw(stick(902))  # the host has not read it yet
-    lost = host.statistics()
-    host.lose_link(loss_s)
+    before = host.wires.statistics()
+    lab.lose_link(loss_s)
     sent = host._sequence
-    lab.client.raw(stick(903))  # lost
+    lab.client.raw(stick(902))  # lost
     packets = lab.run(loss_s)
-    assert not host.link_lost
-    lab.client.raw(stick(904))
+    lab.client.raw(stick(903))
     packets += lab.run(0.5)
-    assert heard == [stick(901), stick(902), stick(904)]
+    assert heard == [stick(901), stick(903)]
     numbers = [packet[1] for packet in packets]
     assert len(numbers) == len(set(numbers)) and numbers == sorted(numbers)
     assert sent in numbers and sent + 1 not in numbers
-    before = [number for number in numbers if number <= sent]
-    assert before == list(range(before[0], sent + 1)), "all that was on its way"
-    assert host.statistics()["datagrams_lost_in"] == lost["datagrams_lost_in"] + 1
-    gone = host.statistics()["datagrams_lost_out"] - lost["datagrams_lost_out"]
-    assert gone == pytest.approx(loss_s * 200.0, abs=2) and max(numbers) - len(before) - gone > 0
+    on_the_way = [number for number in numbers if number <= sent]
+    assert on_the_way == list(range(on_the_way[0], sent + 1)), "all of it"
+    navdata, commands = (
+        counts["sent"] - counts["delivered"] - before[channel]["sent"] + before[channel]["delivered"]
+        for channel, counts in host.wires.statistics().items()
+        if channel in ("risc9/commands", "risc9/navdata")
+    )
+    assert commands == 1 and navdata == pytest.approx(loss_s * 200.0, abs=2)
+    assert max(numbers) - len(on_the_way) - navdata > 0
 
 
 def test_long_link_loss_lands(lab):
     lab.fly()
-    lab.host.lose_link(20.0)
+    lab.lose_link(20.0)
     lab.run(10.0, ref=START, pcmd=HOVER)
     assert lab.vehicle.phase is FlightPhase.LANDED
     assert lab.host.statistics()["com_losses"] == 1
@@ -1309,7 +1317,7 @@ def test_with_the_link_down_ftp_stalls_too(lab):
         client.settimeout(0.0)
         lab.run(0.05)
         assert client.recv(1000).startswith(b"220")
-        lab.host.lose_link(0.5)
+        lab.lose_link(0.5)
         client.sendall(b"USER anonymous\r\n")
         lab.run(0.4)
         with pytest.raises(BlockingIOError):

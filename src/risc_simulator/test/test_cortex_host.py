@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cortex_ros import wire
 from cortex_ros.wire import Command
 from risc_simulator.cortex_host import CortexHost
-from risc_simulator.faults import FaultEvent
+from risc_simulator.faults import Bodies, FaultEvent
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 
 HOST = "127.88.0.1"
@@ -506,15 +506,10 @@ def test_late_in_a_long_run_there_is_still_one_frame_a_period(make_lab):
 
 
 def test_lost_markers_are_the_sentinel_on_the_wire(make_lab, listen):
-    stream, cameras = listen(), MocapCameras(CameraParams.ideal())
-    lab = make_lab(
-        endpoint=Endpoint(stream_port=stream.getsockname()[1]),
-        live_on_start=True,
-        cameras=cameras,
-    )
+    stream = listen()
+    lab = make_lab(endpoint=Endpoint(stream_port=stream.getsockname()[1]), live_on_start=True)
     received(stream)
-    cameras.hide("vehicle_1", 10.0)
-    cameras.hide("Landmark_A", 10.0)
+    lab.host.wires.add(FaultEvent("occlusion"), Bodies(("vehicle_1", "Landmark_A"), (), {}))
     lab.step()
     datagram, _ = received(stream)[0]
     assert datagram.count(bytes.fromhex("7f96184b" * 3)) == 6

@@ -1,11 +1,13 @@
 """Faults on the wire: what each does, with a seed; statistics; windows; datagrams of every host pass them."""
 
+import math
+
 import numpy as np
 import pytest
 
 from cortex_ros import wire
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults, parse_fault
-from risc_simulator.wires import Wires
+from risc_simulator.wires import MAX_HELD_BYTES, Wires
 
 GAP_S = 0.005
 DATAGRAMS = [b"%05d" % k for k in range(4000)]
@@ -260,6 +262,20 @@ def test_a_clean_wire_hands_over_what_it_gets():
     assert wires.statistics() == {}
 
 
+@pytest.mark.parametrize("text, together", [("burst:0.1", True), ("intermittent:0.5", True), ("loss:0.5", False)])
+def test_a_network_that_is_silent_is_so_on_all_channels_at_once(text, together):
+    """Else what a client asks for, and what it is answered, would pass while the stream is silent."""
+    wires, passed = Wires(seed=1), {"cortex/stream": [], "cortex/replies": []}
+    for channel in passed:
+        wires.wire(channel)
+    wires.add(parse_fault(text))
+    for k in range(400):
+        for channel, times in passed.items():
+            wires.wire(channel).carry(b"", None, 0.01 * k, lambda *_, times=times, k=k: times.append(k))
+    stream, replies = passed.values()
+    assert 50 < len(stream) < 380 and (stream == replies) is together
+
+
 # --- streams
 
 
@@ -316,17 +332,17 @@ def test_order_holds_when_the_fault_ends_while_bytes_are_on_their_way():
     stream, one = Stream(FaultEvent("delay", channel="*", severity=0.1, start_s=0.0, duration_s=0.5)), Connection()
     for k in range(100):
         stream.wait(0.01 * k)
-        stream.write(one, k)
+        stream.write(one, bytes([k]))
     stream.wait(2.0)
-    assert one.got == list(range(100)) and one.times_s[-1] == pytest.approx(0.99)
+    assert b"".join(one.got) == bytes(range(100)) and one.times_s[-1] == pytest.approx(0.99)
 
 
 def test_a_blackhole_holds_a_stream_up_and_loses_nothing():
     stream, one = Stream(FaultEvent("blackhole", channel="*", severity=1.0, start_s=0.2, duration_s=0.3)), Connection()
     for k in range(100):
         stream.wait(0.01 * k)
-        stream.write(one, k)
-    assert one.got == list(range(100))
+        stream.write(one, bytes([k]))
+    assert b"".join(one.got) == bytes(range(100))
     held = np.array(one.times_s[20:50])
     assert held == pytest.approx(0.5) and one.times_s[19] == pytest.approx(0.19)
 
@@ -341,6 +357,18 @@ def test_clear_lets_go_what_a_blackhole_without_end_holds():
     stream.write(one, b"c")
     stream.wait(5.1)
     assert one.got == [b"a", b"b", b"c"]
+
+
+def test_of_a_connection_no_more_is_held_than_its_buffers_take():
+    stream, one, other = Stream(FaultEvent("blackhole", channel="*", duration_s=1.0)), Connection(), Connection()
+    stream.write(other, b"a")
+    written = 0
+    while not stream.stream.is_full(one):
+        stream.write(one, (bytes(1000), True))
+        written += 1
+    assert written == math.ceil(MAX_HELD_BYTES / 1000) and not stream.stream.is_full(other)
+    stream.wait(1.0)
+    assert len(one.got) == written and other.got == [b"a"] and not stream.stream.is_full(one)
 
 
 def test_what_a_closed_connection_had_to_get_is_forgotten():

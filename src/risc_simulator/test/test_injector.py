@@ -164,6 +164,22 @@ def test_wind_is_the_mean_velocity_of_the_air(gusts):
     assert np.abs(found[0][0]).max() == 0.0 or gusts
 
 
+def test_gusts_come_on_top_of_a_wind_and_leave_it_as_it_was():
+    lab = Lab()
+    lab.add("wind:2,risc1,duration_s=3")
+    lab.add("gust:1,risc1,duration_s=1@1")
+    lab.run(0.9)
+    steady, found = lab.world._u[6:9, 0].copy(), []
+    for _ in range(10):
+        lab.run(0.1)
+        found.append(np.linalg.norm(lab.world._u[6:9, 0] - steady))
+    assert np.linalg.norm(steady) == pytest.approx(2.0) and 0.3 < max(found) <= 1.0
+    lab.run(0.5)
+    np.testing.assert_allclose(lab.world._u[6:9, 0], steady, atol=1e-12)
+    lab.run(1.0)
+    np.testing.assert_allclose(lab.world._u[6:9, 0], 0.0, atol=1e-12)
+
+
 def test_while_nothing_acts_nothing_is_touched():
     lab = Lab()
     lab.add("jump:0.4,risc1,duration_s=0.1")

@@ -11,7 +11,7 @@ from iris_flight import make_fleet
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from serial_client import ASK_FOR_TOPICS, STATUS_TOPIC, channels_of, controls, packets
 
-from risc_simulator.faults import FaultEvent
+from risc_simulator.faults import FaultEvent, parse_fault
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import reset
 from risc_simulator.vehicles.iris import transmitter
@@ -80,6 +80,10 @@ class Station:
         with contextlib.suppress(BlockingIOError):
             while True:
                 self.heard += self._codec.parse_buffer(self.telemetry.recv(2048)) or []
+
+    def inject(self, text):
+        """Let a fault happen, in the words of the command line."""
+        self.lab.inject(parse_fault(text))
 
     def tell(self, message):
         self.telemetry.send(message.pack(self._codec))
@@ -200,7 +204,7 @@ def test_a_board_that_is_reset_in_flight_lands_the_vehicle(flyer):
 
 
 def test_a_link_that_is_lost_takes_radio_and_telemetry_away_but_not_the_cable(flyer):
-    flyer.lab.lose_link("iris1", 1.0)
+    flyer.inject("link_blackhole:1,iris1")
     flyer.heard.clear()
     flyer.bytes = b""
     flyer.run(0.65, {"throttle": flyer.keep})
@@ -212,7 +216,7 @@ def test_a_link_that_is_lost_takes_radio_and_telemetry_away_but_not_the_cable(fl
 
 @pytest.mark.parametrize("channel", ["iris1/radio", "iris1/arduino"])
 def test_silence_on_its_wires_lands_it(flyer, channel):
-    flyer.lab.wire_fault("blackhole", channel)
+    flyer.inject("blackhole:channel=" + channel)
     assert flyer.lands(7.0, {"throttle": flyer.keep})
 
 
@@ -223,7 +227,7 @@ def test_without_the_faults_it_would_fly_on(flyer):
 
 
 def test_a_line_that_is_cut_is_closed_and_the_vehicle_lands(flyer):
-    flyer.lab.wire_fault("cut", "iris1/arduino")
+    flyer.inject("cut:channel=iris1/arduino")
     with pytest.raises(OSError):
         flyer.run(1.0, {"throttle": flyer.keep})
     assert flyer.lab.wires.statistics()["iris1/arduino"]["cut"] == 1
@@ -232,7 +236,7 @@ def test_a_line_that_is_cut_is_closed_and_the_vehicle_lands(flyer):
 
 
 def test_it_flies_on_without_telemetry(flyer):
-    flyer.lab.wire_fault("blackhole", "iris1/mavlink")
+    flyer.inject("blackhole:channel=iris1/mavlink")
     flyer.heard.clear()
     flyer.run(2.0, {"throttle": flyer.keep})
     assert flyer.vehicle.height_m == pytest.approx(1.0, abs=0.06) and not flyer.heard
@@ -337,7 +341,7 @@ def test_an_address_in_use_and_a_firmware_that_is_not_built_are_errors_that_name
 
 def test_faults_name_the_channels_that_there_are(station):
     with pytest.raises(ValueError, match="iris1/mavlink, iris1/radio, iris1/arduino"):
-        station.lab.wire_fault("drop", "iris1/navdata")
+        station.inject("drop:channel=iris1/navdata")
     station.lab.wires.add(FaultEvent("corrupt", channel="iris1/radio", severity=1.0))
     station.start()
     assert station.autopilot.channels_us[2] == 1000, "what has no bytes is not corrupted"

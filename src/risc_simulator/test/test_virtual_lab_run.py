@@ -18,6 +18,7 @@ from addresses import free_port, own_net
 from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
+from risc_simulator.faults import parse_fault
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.virtual_lab import LabOptions, VirtualLab, summary
 
@@ -178,12 +179,12 @@ def test_faults_by_name(net, clock):
     try:
         with stream_client(net["port"]) as stream:
             lab.run(duration_s=0.05)
-            lab.hide("fluffy_II", 0.1)
+            lab.inject(parse_fault("occlusion:0.1,risc1"))
             lab.run(duration_s=0.2)
             frames = [first_body(stream.recv(65536))[2] for _ in range(40)]
             lost = [bool((np.abs(markers[:, 0]) > 1000).all()) for markers in frames]
             assert 18 <= sum(lost) <= 21 and not any(lost[:9])
-            lab.silence_mocap(0.1)
+            lab.inject(parse_fault("mocap_blackout:0.1"))
             lab.run(duration_s=0.4)
             numbers = []
             stream.settimeout(0.05)
@@ -193,17 +194,11 @@ def test_faults_by_name(net, clock):
             except TimeoutError:
                 pass
             assert 18 <= len(numbers) <= 22 and numbers[-1] == 80
-        lab.lose_link("risc1", 0.5)
-        assert lab.vehicle_hosts["risc1"].link_lost
-        lab.set_battery_pct("risc1", 20.0)
-        assert lab.world.vehicles["risc1"].state.battery_pct == pytest.approx(20.0)
-        for call in (
-            lambda: lab.hide("Nobody", 1.0),
-            lambda: lab.lose_link("risc9", 1.0),
-            lambda: lab.set_battery_pct("risc9", 1.0),
-        ):
-            with pytest.raises(ValueError, match="Nobody|risc9"):
-                call()
+        lab.inject(parse_fault("battery_low:20,risc1"))
+        lab.run(duration_s=0.5)
+        assert lab.world.vehicles["risc1"].state.battery_pct == pytest.approx(20.0, abs=0.1)
+        with pytest.raises(ValueError, match="risc9"):
+            lab.inject(parse_fault("link_blackhole:1,risc9"))
     finally:
         lab.close()
 

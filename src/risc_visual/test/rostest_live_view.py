@@ -31,6 +31,7 @@ from risc_maap_msgs.msg import (
     Faults,
     OperatorState,
     Safety,
+    TakeoffRefusals,
     TrackingError,
     TrajectoryPhases,
     VehiclePhase,
@@ -51,6 +52,7 @@ OUTPUTS = {
     "angle_lines": MarkerArray,
     "/risc1/controller_status": Bool,
     "/risc1/vehicle_status": VehicleStatus,
+    "/risc1/takeoff_refusals": TakeoffRefusals,
     "/risc1/safety": Safety,
     "/trajectory": Trajectories,
     "/trajectory_phase": TrajectoryPhases,
@@ -183,10 +185,12 @@ class LiveViewTest(unittest.TestCase):
             "/controller_report": ControllerReport(vehicles=[TrackingError("fluffy_II", 0.0234)]),
             "/estimator_status": EstimatorStatus(rate_hz=200.0, visible=2, vehicles=2),
             "/operator/phase": OperatorState(phase=OperatorState.FLY, text="on course"),
+            "/risc1/takeoff_refusals": TakeoffRefusals(reasons=["carry it inside"]),
         }
         wanted = {
             "autonomous</span>",
             "safety: hold: state 120 ms old",
+            "take-off refused: carry it inside",
             "flying, battery 60 %",
             "course, 23 mm from its reference",
             "motion capture 200 Hz, 2 of 2 seen",

@@ -15,6 +15,7 @@ from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, 
 FLYING = 3
 Report = namedtuple("Report", "state battery_pct")  # as a VehicleStatus
 Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # as an EstimatorStatus
+Refusals = namedtuple("Refusals", "reasons")  # as a TakeoffRefusals
 
 
 class Panel:
@@ -51,6 +52,17 @@ class Panel:
 
     def told_as(self, class_name):
         return [item.text for item in self.tree().iter() if item.get("class") == class_name]
+
+
+def test_why_a_take_off_was_refused_stays_until_it_takes_off():
+    panel = Panel()
+    panel.values["refusals", "risc2"] = Refusals(["it stands 0.3 m from <Raven>", "battery"])
+    assert panel.hear().told_as("bad") == [
+        "take-off refused: it stands 0.3 m from <Raven>",
+        "take-off refused: battery",
+    ]
+    panel.values["refusals", "risc2"] = Refusals([])
+    assert panel.hear().told_as("bad") == []
 
 
 def test_a_flight_in_which_all_is_well():

@@ -19,6 +19,7 @@ from ardrone_autonomy.piloting import sticks_from_velocity
 from ardrone_autonomy.settings import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread
 from risc_lab.lab import load_fleet
+from risc_simulator.faults import parse_fault
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import Told
 from risc_simulator.virtual_lab import VirtualLab
@@ -115,7 +116,7 @@ def test_flight_emergency_and_lost_link(lab, thread):
     wait_for(lambda: vehicle.phase is FlightPhase.HOVERING)
 
     # a lost link: the vehicle lands by itself, and is ready for another flight afterwards
-    host.lose_link(3.0)
+    lab.inject(parse_fault("link_blackhole:3,risc1"))
     wait_for(lambda: thread.link.phase is Phase.SEARCHING)
     wait_for(lambda: thread.link.phase is Phase.READY)
     wait_for(lambda: vehicle.phase is FlightPhase.LANDED)

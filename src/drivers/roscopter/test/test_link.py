@@ -210,12 +210,6 @@ def test_a_vehicle_that_is_named_is_heard_alone_from_the_start(network):
         vehicle.sendto(frames(7), address)
         assert vehicle.recv(4096)
         assert driver.link.autopilot.target == (7, 1)
-        assert not any("whoever speaks first" in text for text in driver.said("warn"))
-
-
-def test_a_port_that_hears_anybody_says_so(network):
-    with Driver("udpin:%s:%d" % network[2]) as driver:
-        wait_for(lambda: any("whoever speaks first" in text for text in driver.said("warn")), "the warning")
 
 
 def test_tcp_that_is_closed_and_comes_again():

@@ -9,6 +9,7 @@ from typing import NamedTuple
 LEAST_RATE_HZ = 20.0  # of the states that the node looks at
 LEVEL_RAD = math.radians(15.0)
 LOOKS = 20  # the rate is that of so many
+COUNTS = 3  # of markers, one a second: a marker must be gone for longer than that
 
 
 class Facts(NamedTuple):
@@ -23,6 +24,7 @@ class Facts(NamedTuple):
     tilt_rad: float
     controls_age_s: float  # of the newest command; infinite: no controller was heard
     controls_limit_s: float
+    markers: tuple  # (how many its pose rests on, how many it must, how many it has); None: nobody tells
     nearest: tuple  # (distance that counts [m], name) of the nearest vehicle; None: nobody is seen
     apart_m: float
 
@@ -46,6 +48,9 @@ def refusals(facts):
     else:
         if facts.outside:
             found.append("it stands at (%.2f, %.2f, %.2f) m, outside of the fence: carry it inside" % facts.position_m)
+        if facts.markers is not None and facts.markers[0] < facts.markers[1]:
+            text = "motion capture sees %d of its markers, not %d of %d: look for a lost one, and at its template"
+            found.append(text % facts.markers)
         if facts.tilt_rad > LEVEL_RAD:
             text = "it is seen tilted by %.0f deg: put it on level floor, and look whether its template is right"
             found.append(text % math.degrees(facts.tilt_rad))

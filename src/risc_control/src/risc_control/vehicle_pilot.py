@@ -28,7 +28,7 @@ from risc_control.vehicles import (
     state_text,
 )
 from risc_lab.command_history import Channel, CommandHistory
-from risc_lab.settings import NotNegative, Positive
+from risc_lab.settings import Count, NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
@@ -61,7 +61,8 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     # HOLD: True, its bottom camera sees the floor: an AR.Drone's own velocity counts, and all zero is sent, on which it
     # holds its place; False, it does not (a floor without texture): what it does is reckoned, and it is kept level
     hold_auto_hover: bool = True
-    preflight: bool = False  # no take-off before motion capture and what stands around are as a flight needs them
+    preflight: bool = True  # no take-off before motion capture and what stands around are as a flight needs them
+    preflight_markers: Count = 0  # so many of its markers must be seen before a take-off; 0: all of its template
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
 
     def rate_hz(self, vehicle_type):
@@ -101,6 +102,7 @@ class Orders:
     simulator_reset = None  # value for the parameter RESET of simulators
     safety = None  # Verdict, when it has just changed
     shut_down = False
+    refusals = None  # why it does not take off, sentences: none, it does; None: nobody asked for that
     answer = None  # (done, what happens in a sentence) to who asked for a landing
     log = ()  # of (level "info" | "warn" | "error", sentence)
 
@@ -173,6 +175,7 @@ class VehiclePilot:
         self._state_s = 0.0  # when the state held [s]
         self._told = None  # the newest Verdict of the orders
         self._nearest, self._looks_s = nearest, deque(maxlen=preflight.LOOKS)
+        self._markers = deque(maxlen=preflight.COUNTS)  # (used, of its template)
         self._simulator_reset = False
         self._ended = False
         self._land_s = self._land_itself_s = -math.inf
@@ -298,6 +301,10 @@ class VehiclePilot:
         if self._hover is not None:
             self._hover.on_state(own, self._state_s)
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
+
+    def on_markers(self, used, known):
+        """Motion capture's pose of it rests on so many of its markers."""
+        self._markers.append((used, known))
 
     def on_suspect(self, reason, now_s):
         """The vehicle was seen with a state that cannot be true. reason: what it contradicts, see `plausibility`."""
@@ -472,37 +479,40 @@ class VehiclePilot:
                 self._set_mode(False, orders, "landing")
         elif not may_take_off:
             orders.say("info", "no take-off: the button was pressed a while ago; release it and press again")
-        elif self.ladder.lost_joystick(now_s) is not None:
-            orders.say(
-                "warn",
-                "take-off refused: the joystick %s has fallen silent, and with it its emergency stop; see to it, or "
-                "wait a minute to fly without it" % self.ladder.lost_joystick(now_s),
-            )
-        elif self.ladder.battery_is_low():
-            orders.say(
-                "warn",
-                "take-off refused: the battery is at or below %g %%: charge it, or lower "
-                "battery_min_pct" % self.ladder.limits.battery_min_pct,
-            )
-        elif self._params.preflight and self._refusals(now_s):
-            for refusal in self._refusals(now_s):
+        else:
+            orders.refusals = list(self._refusals(now_s))
+            for refusal in orders.refusals:
                 orders.say("warn", "take-off refused: %s" % refusal)
-        elif self._hover is not None and self._hover.no_take_off(now_s):
-            orders.say("warn", "take-off refused: %s" % self._hover.no_take_off(now_s))
-        elif self._hover is not None:
-            orders.takeoff = True
+            if not orders.refusals:
+                self._take_off(orders, now_s)
+
+    def _take_off(self, orders, now_s):
+        orders.takeoff = True
+        orders.say("info", "taking off")
+        if self._hover is None:
+            self.airborne, self._takeoff_s = True, now_s
+        else:
             self._hover.take_off(now_s)
             self._note_hover(orders)
-            orders.say("info", "taking off")
-        else:
-            orders.takeoff = self.airborne = True
-            self._takeoff_s = now_s
-            orders.say("info", "taking off")
 
     def _refusals(self, now_s):
+        """Why it must not take off."""
+        joystick = self.ladder.lost_joystick(now_s)
+        if joystick is not None:
+            text = "the joystick %s has fallen silent, and with it its emergency stop; see to it, or wait a minute to "
+            yield text % joystick + "fly without it"
+        if self.ladder.battery_is_low():
+            text = "the battery is at or below %g %%: charge it, or lower battery_min_pct"
+            yield text % self.ladder.limits.battery_min_pct
+        if self._params.preflight:
+            yield from self._preflight(now_s)
+        if self._hover is not None and self._hover.no_take_off(now_s):
+            yield self._hover.no_take_off(now_s)
+
+    def _preflight(self, now_s):
         """Why it must not take off by what is seen; ()."""
         ladder, own, looks_s = self.ladder, self._state, self._looks_s
-        full = len(looks_s) == looks_s.maxlen
+        full, markers = len(looks_s) == looks_s.maxlen, max(self._markers, default=None)
         return preflight.refusals(
             preflight.Facts(
                 ladder.state.age_s(now_s),
@@ -514,6 +524,7 @@ class VehiclePilot:
                 math.acos(math.cos(own.phi_rad) * math.cos(own.theta_rad)) if own else 0.0,
                 ladder.controls.age_s(now_s),
                 ladder.limits.controls_hold_s,
+                markers and (markers[0], self._params.preflight_markers or markers[1], markers[1]),
                 self._nearest(),
                 ladder.limits.separation_m,
             )

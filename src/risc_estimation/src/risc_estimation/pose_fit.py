@@ -141,6 +141,11 @@ class Poses:
         return self._bodies.table["rotation"]
 
     @property
+    def marker_counts(self):
+        """[(used, of its template)] of each body: on how many of its markers its newest pose rests."""
+        return list(zip(self._bodies.used.sum(axis=1).tolist(), self._bodies.table["markers"].tolist()))
+
+    @property
     def residual_m(self):
         """(n,) rms distance of the used markers from the fitted template [m]."""
         return self._bodies.table["residual_m"]

@@ -30,6 +30,7 @@ from risc_experiments.flight_progress import flight_detail
 from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.headroom import RATES_HZ, READY_S, Headroom, next_rate_hz
 from risc_experiments.operator import OperatorParams, course_s, time_limit_s
+from risc_experiments.option_types import number
 from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.report import WITH_CAMERAS, make_report
 from risc_lab.lab import load_fleet
@@ -136,7 +137,7 @@ def complete(args, error):
     limit_s = course_s(operator_params(args))
     for event in args.faults:
         if not 0.0 <= event.start_s < limit_s:
-            error("--fault: %s does not start while the course is flown, for %g s" % (event, limit_s))
+            error("--fault %s: it must start 0 to %g s after all are on the course" % (event, limit_s))
     args.estimator = estimator_of(args.controller, args.estimator)
 
 
@@ -146,21 +147,6 @@ def fault_file(path):
         return load_faults(path)
     except (ValueError, OSError) as error:
         raise argparse.ArgumentTypeError(str(error)) from error
-
-
-def number(least, most=math.inf):
-    """Type of an option: a finite number of the type of `least`, within limits."""
-    kind = type(least)
-
-    def parse(text):
-        value = kind(text)
-        if not (least <= value <= most and math.isfinite(value)):
-            limits = "" if least == -math.inf else " from %g" % least + (" to %g" % most if most < math.inf else " on")
-            raise argparse.ArgumentTypeError("must be a number%s, found %s" % (limits, text))
-        return value
-
-    parse.__name__ = "number"  # for "invalid number value"
-    return parse
 
 
 def prepare_folder(args, name=None, holds="flight.bag"):
@@ -355,8 +341,8 @@ def fly_slower(module, argv, folder, reason, progress, interrupted):
 
 def handle_signals(handler):
     """What to do when the end is asked for, from now on, also of what came while it was blocked."""
-    for number in SIGNALS:
-        signal.signal(number, handler)
+    for which in SIGNALS:
+        signal.signal(which, handler)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 

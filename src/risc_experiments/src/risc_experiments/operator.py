@@ -113,6 +113,7 @@ class Watched:
         self.autonomous = False
         self.trajectory_phase = None
         self.safety, self.safety_reason = FailsafeLevel.OK, ""
+        self.refusals = ()  # why it did not take off when it was told to last
         self.seen_s = self.reported_s = self.status_s = -math.inf
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
@@ -258,12 +259,16 @@ class Operator:
         if not waiting:
             self._enter(Phase.SETTLE, now_s)
             return
-        self.text = ", ".join(waiting)
+        self.text = ", ".join(map(self._refused, waiting))
         for _, w in self._taking_part():
             if w.flight_state == FlightState.LANDED and now_s - w.takeoff_s > _TAKEOFF_AGAIN_S:
                 if w.pad.press(self._params.TakeoffLand):
                     w.takeoff_s = now_s
         self._give_up_after(self._params.takeoff_timeout, "no hover", self.text, now_s)
+
+    def _refused(self, name):
+        refusals = "; ".join(self.vehicles[name].refusals)
+        return "%s (take-off refused: %s)" % (name, refusals) if refusals else name
 
     def _settle(self, now_s):
         if now_s - self._since_s > self._params.settle:

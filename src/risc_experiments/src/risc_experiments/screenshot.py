@@ -45,7 +45,7 @@ def arguments(argv):
         if rest:
             parser.error("a bag has been flown already: leave out %s" % " ".join(rest))
     if args.at is not None and not args.at > 0.0:
-        parser.error("--at must be a time after the begin of the bag [s]")
+        parser.error("--at must be a time after the start of the bag [s]")
     return args, rest
 
 

@@ -145,7 +145,14 @@ class TcpClients:
     def write(self, data, now_s):
         """Let data pass the stream to everybody, at lab time now_s."""
         for sock in list(self.backlogs):
-            self._stream.carry(data, sock, now_s, self._come_through, self._cut)
+            if self._stream.is_full(sock):
+                self.overflow(sock)
+            else:
+                self._stream.carry(data, sock, now_s, self._come_through, self._cut)
+
+    def overflow(self, sock):
+        """Something could not be written: the stream is held up, and its buffer is full."""
+        self.hang_up(sock)
 
     def flush(self):
         """Send what can be sent now."""
@@ -265,7 +272,6 @@ class VehicleHost(SocketHost):
     def __init__(self, vehicle, wires=None):
         super().__init__(vehicle.namespace, wires)
         self._vehicle = vehicle
-        self._lost_until_s = -math.inf  # injected
         self.told, self.told_s = Told.NOTHING, -math.inf  # as far as the type tells these apart; since when
 
     def note_told(self, told, now_s):
@@ -278,16 +284,6 @@ class VehicleHost(SocketHost):
 
     def power_cycle(self, now_s):
         """The vehicle, which stands, has been switched off and on at lab time now_s: so has what speaks for it."""
-
-    def lose_link(self, duration_s):
-        """From now on nothing passes in either direction, for this long; what has been sent before arrives."""
-        self.serve(self._now_s)
-        self._lost_until_s = self._now_s + duration_s
-
-    @property
-    def link_lost(self):
-        """An injected loss is in force."""
-        return self._now_s < self._lost_until_s
 
     def statistics(self):
         """Counts since the start, with the `notices` of its Notices, for JSON."""

@@ -33,7 +33,7 @@ from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_lab.settings import Fraction, Settings, settings_from
 from risc_simulator.cortex_host import CortexHost
-from risc_simulator.faults import FaultEvent, load_faults
+from risc_simulator.faults import load_faults
 from risc_simulator.injector import Injector
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
@@ -299,14 +299,6 @@ class VirtualLab:
             if on_frame is not None:
                 on_frame()
 
-    def hide(self, body, duration_s):
-        """Hide all markers of a body from the cameras, from now on. Raises ValueError for an unknown body."""
-        self.cameras.hide(body, self.world.time_s + duration_s)
-
-    def silence_mocap(self, duration_s):
-        """Take the Cortex host off the network."""
-        self.wire_fault("blackhole", "cortex/*", duration_s=duration_s)
-
     def inject(self, event):
         """Let a faults.FaultEvent happen, counted from now. Returns its injector.FaultRecord.
 
@@ -329,29 +321,11 @@ class VirtualLab:
             vehicle.put_back()
             self.vehicle_hosts[vehicle.namespace].power_cycle(self._served_s)
             for body in (vehicle.template, *([vehicle.attached.template] if vehicle.attached else ())):
-                self.hide(body, HANDS_S)
+                self.cameras.hide(body, self.world.time_s + HANDS_S)
 
     def end_faults(self):
         """End all faults, also those that have not begun."""
         self.injector.end_all(self._served_s)
-
-    def wire_fault(self, fault, channel, severity=None, duration_s=math.inf):
-        """Let a fault act on the datagrams of some channels from now on; "" ends all there.
-
-        Raises ValueError for a fault, channel or severity that does not exist.
-        """
-        if fault:
-            self.inject(FaultEvent(fault, severity=severity, duration_s=duration_s, channel=channel))
-        else:
-            self.wires.clear(channel)
-
-    def lose_link(self, namespace, duration_s):
-        """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
-        look_up(self.vehicle_hosts, namespace, "vehicle").lose_link(duration_s)
-
-    def set_battery_pct(self, namespace, pct):
-        """Give a vehicle a battery with this charge. Raises ValueError for an unknown vehicle."""
-        look_up(self.world.vehicles, namespace, "vehicle").set_battery_pct(pct)
 
     def set_light(self, brightness):
         """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
@@ -360,7 +334,9 @@ class VirtualLab:
         self._video.light = brightness
 
     def wave_board(self, namespace, duration_s):
-        """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for an unknown vehicle."""
+        """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for what cannot be."""
+        if not 0.0 <= duration_s < math.inf:
+            raise ValueError("a board is waved for a time of 0 s or more, got %r" % (duration_s,))
         station = look_up(self._video.stations, namespace, "vehicle")
         station.board_s = self._served_s, self._served_s + duration_s
 

@@ -4,12 +4,14 @@ import fnmatch
 import heapq
 import math
 import weakref
-from collections import Counter
+from collections import Counter, deque
 from zlib import crc32
 
 import numpy as np
 
 from risc_simulator.faults import REGISTRY
+
+MAX_HELD_BYTES = 256 * 1024  # of a connection; more than that its socket's buffers would not take either
 
 
 class Wires:
@@ -40,12 +42,13 @@ class Wires:
         """
         name, settings = event.fault, event.settings
         fit, make = self.fit(event, event.channel or settings.channel), REGISTRY.module(name).make
-        context = (bodies,) if "frames" in settings.acts_on else ()
+        context, act = (bodies,) if "frames" in settings.acts_on else (), None
         for wire in fit:
             key = crc32(wire.channel.encode()), crc32(name.encode()), wire.added[name]
             wire.added[name] += 1
-            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
-            act = make(event.severity, rng, *context)
+            if act is None or not settings.shared:
+                rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
+                act = make(event.severity, rng, *context)
             wire.acting = (*wire.acting, (event.start_s, event.start_s + event.duration_s, act))
 
     def fit(self, event, channel):
@@ -93,6 +96,10 @@ class Wires:
         if not wires:
             raise ValueError("no channel '%s'; known are: %s" % (channel, ", ".join(self._wires)))
         return wires
+
+
+def _size(data):
+    return len(data[0] if isinstance(data, tuple) else data)
 
 
 class Wire:
@@ -148,24 +155,31 @@ class Stream(Wire):
 
     def __init__(self, wires, channel):
         super().__init__(wires, channel, "streams")
-        self.held = []  # what a fault keeps from passing, and what comes behind it
+        self.held = deque()  # what a fault keeps from passing, and what comes behind it
+        self._held_bytes = weakref.WeakKeyDictionary()  # of it, by connection
         self._newest_s = weakref.WeakKeyDictionary()  # connection -> when what was written last arrives
 
     def carry(self, data, connection, now_s, deliver, cut):
         """Let what was written to a connection pass at lab time now_s, behind what was written before.
 
-        deliver: called with (data, connection, time) when it arrives.  cut: called with the connection if it is cut.
-        Both may be called when the connection has been closed.
+        data: bytes, or a tuple that begins with them.  deliver: called with (data, connection, time) when it arrives.
+        cut: called with the connection if it is cut. Both may be called when the connection has been closed.
         """
         if self._wires.due_s <= now_s:
             self._wires.release(now_s)
         self.held.append((data, connection, deliver, cut))
+        self._held_bytes[connection] = self._held_bytes.get(connection, 0) + _size(data)
         if len(self.held) == 1:
             self.flow(now_s)
 
+    def is_full(self, connection):
+        """Whether so much of it is held that who writes has to wait, as at a socket whose buffer is full."""
+        return self._held_bytes.get(connection, 0) >= MAX_HELD_BYTES
+
     def forget(self, connection):
         """Drop what is held of a connection that has been closed: a fault without end would keep it for ever."""
-        self.held = [item for item in self.held if item[1] is not connection]
+        self.held = deque(item for item in self.held if item[1] is not connection)
+        self._held_bytes.pop(connection, None)
 
     def flow(self, now_s):
         """Let pass what is held, as far as it may now."""
@@ -184,7 +198,8 @@ class Stream(Wire):
                     return
                 later_s, passing = later_s + arriving[0][0], arriving[0][1]
             else:
-                del self.held[0]
+                self.held.popleft()
+                self._held_bytes[connection] -= _size(data)
                 due_s = max(now_s + later_s, self._newest_s.get(connection, -math.inf))
                 if faults:
                     self._newest_s[connection] = due_s

@@ -88,9 +88,9 @@ class Vehicle:
         self.firmware.set_battery_pct(pct, self._world.time_s)
         self.battery_was_set = True
 
-    def set_wind(self, velocity_m_s):
-        """Let the air around it move on average with this velocity (3,), cortex axes, from now on."""
-        self._world._set_wind(self._index, velocity_m_s)
+    def change_wind(self, by_m_s):
+        """Change the mean velocity of the air around it by this (3,), cortex axes, from now on."""
+        self._world._change_wind(self._index, by_m_s)
 
     def turn(self, rolls_rad_s):
         """Change its roll rate by this, at once: what a moment does meanwhile that its equations do not know."""
@@ -299,13 +299,12 @@ class World:
             gusts += (1.0 - math.exp(-self.step_s / GUST_TIME_CONSTANT_S)) * self._wind_m_s
         return gusts
 
-    def _set_wind(self, i, velocity_m_s):
+    def _change_wind(self, i, by_m_s):
         if self._wind_m_s is None:
             self._wind_m_s = np.zeros((len(self._vehicles), 3))
-        north, west, up = velocity_m_s
-        wind_m_s = np.array([north, -west, up])
-        self._u[U.WIND_N : U.WIND_UP + 1, i] += wind_m_s - self._wind_m_s[i]
-        self._wind_m_s[i] = wind_m_s
+        north, west, up = by_m_s
+        for wind_m_s in (self._u[U.WIND_N : U.WIND_UP + 1, i], self._wind_m_s[i]):
+            wind_m_s += (north, -west, up)
         self._slope_at = -1
 
     def _change_plant(self, i, values):

@@ -1,7 +1,7 @@
 """What was made to go wrong in the virtual lab and with the programs of a flight, and what became of it: outcome and
 reaction of every fault.
 
-What happens from the begin of a fault to the begin of the next one counts as its own.
+What happens from the start of a fault to the start of the next one counts as its own.
 """
 
 import math
@@ -36,7 +36,7 @@ class FaultOutcome:
     begin_s: float  # ROS time, like the others
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
-    is_safe: bool  # its entry calls that outcome safe
+    is_safe: bool  # its entry calls that outcome safe, and no two vehicles touched
     # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before, or
     # to the first by which it is told to hover or to land, e.g. by its driver
     reactions_s: dict[str, float]
@@ -133,6 +133,7 @@ class FaultCollector(Collector):
         self._levels = {}  # (topic, vehicle) -> its level
         self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # what was said, what was sent, what came
         self._hurt_s = []  # when a vehicle touched something, or left the net
+        self._contacts_s = []  # when two touched each other
         self._outside = set()  # vehicles
         self._heights_m = {}
         self._kept_apart = set()
@@ -161,6 +162,8 @@ class FaultCollector(Collector):
             self._note_level(topic, message.vehicle, _LEVELS[message.order], seconds(message.header.stamp))
         elif topic == "/virtual_lab/crash":
             self._hurt_s.append(seconds(message.header.stamp))
+            if message.other:
+                self._contacts_s.append(seconds(message.header.stamp))
         elif topic.startswith("/operator/"):
             self._hear_operator(message)
         else:
@@ -191,7 +194,8 @@ class FaultCollector(Collector):
         stamp_s = seconds(message.header.stamp)
         if stamp_s < self._waited_s:
             return  # kept for whoever listens since then: of the flight before
-        if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING:
+        is_flying = self._course_s is not None and self._landing_s == _NEVER_S  # by an operator who was killed
+        if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING and not is_flying:
             self._begin_flight(stamp_s)
         if self._course_s is None and getattr(message, "on_course", False):
             self._course_s = stamp_s
@@ -223,7 +227,9 @@ class FaultCollector(Collector):
         landed = {change.vehicle for change in said if change.level >= FailsafeLevel.LAND}
         landed |= {vehicle for vehicle, out in self._out.items() if begin_s <= out.time_s < until_s}
         at_last = {change.vehicle: change.level for change in said}
-        is_hurt = any(begin_s <= hurt_s < until_s for hurt_s in self._hurt_s)
+        is_hurt, is_contact = (
+            any(begin_s <= time_s < until_s for time_s in times_s) for times_s in (self._hurt_s, self._contacts_s)
+        )
         if is_hurt or any(self._heights_m.get(vehicle, 0.0) > LANDED_HEIGHT_M for vehicle in landed):
             outcome = "breach"
         elif landed:
@@ -242,7 +248,7 @@ class FaultCollector(Collector):
             begin_s=begin_s,
             end_s=seconds(record.ends) or None,
             outcome=outcome,
-            is_safe=outcome in list(record.safe),
+            is_safe=outcome in list(record.safe) and not is_contact,
             reactions_s=reactions_s,
         )
 

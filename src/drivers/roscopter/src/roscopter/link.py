@@ -107,11 +107,6 @@ class Link:
             return
         if not self._is_mute:  # else it is opened and lost in turns
             self._report("info", "opened %s" % device)
-            if transport.hears_anybody(device):
-                text = (
-                    "%s: whoever speaks first is taken for the vehicle. To hear it alone append :VEHICLE, its address"
-                )
-                self._report("warn", text % device)
             self._has_complained = False
         self._is_mute = True
         self.counts["times opened"] += 1

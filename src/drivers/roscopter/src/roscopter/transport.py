@@ -5,6 +5,7 @@ sent anything.
 """
 
 import contextlib
+import ipaddress
 import os
 import re
 import socket
@@ -25,6 +26,9 @@ def check(device):
     network = _network(device)
     if network and not 0 < network[1][1] < 65536 or not network and re.match(r"\w+:", device):
         raise ValueError("device %r is none: give %s" % (device, FORMS))
+    if network and network[0] in ("udpin", "udp") and network[2] is None and not _is_loopback(network[1][0]):
+        text = "device %r hears whoever in the network speaks first: append :VEHICLE, the address of the vehicle"
+        raise ValueError(text % device)
 
 
 def open_device(device, baudrate, strangers=None):
@@ -41,10 +45,11 @@ def open_device(device, baudrate, strangers=None):
     return UdpClient(address) if kind == "udpout" else UdpServer(address, vehicle, strangers)
 
 
-def hears_anybody(device):
-    """Whether a device takes whoever speaks first for the vehicle."""
-    network = _network(device)
-    return network is not None and network[0] in ("udpin", "udp") and network[2] is None
+def _is_loopback(host):
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _network(device):
@@ -134,7 +139,8 @@ class UdpClient(_Socket):
 class UdpServer(_Socket):
     """Hears the vehicle, which sends to one address, and answers it.
 
-    A vehicle that is not named is the first that is heard, and stays it as long as the port is open.
+    A vehicle that is not named, on a loopback address, is the first that is heard, and stays it as long as the port is
+    open.
     """
 
     def __init__(self, address, vehicle, strangers):

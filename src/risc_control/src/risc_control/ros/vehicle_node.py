@@ -41,7 +41,7 @@ from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus, VehicleStatus
+from risc_maap_msgs.msg import CommandsSent, EstimatorStatus, Safety, TakeoffRefusals, VehicleNodeStatus, VehicleStatus
 
 _RAD_PER_DEG = math.radians(1.0)
 _TO_RADIANS = np.array([1.0] * 6 + [_RAD_PER_DEG] * 6)  # what makes rows of /cortex_raw those of `risc_lab.states.S`
@@ -121,6 +121,8 @@ class VehicleNode:
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
         PacedSubscriber("/trajectory", TrajectoriesArrays.Raw, self._guarded(self._on_references), _REFERENCES_HZ)
+        on_estimator = self._guarded(self._on_estimator)
+        rospy.Subscriber("/estimator_status", EstimatorStatus, on_estimator, queue_size=1, tcp_nodelay=True)
         self._tickers = (
             Ticker(self._tick_s, self._on_tick, "the vehicles' clock"),
             Ticker(0.5, self._diagnostics.update, "the diagnostics"),
@@ -202,6 +204,11 @@ class VehicleNode:
                 states.names,
                 "does the estimator know the template, and is the vehicle's name right?",
             )
+
+    def _on_estimator(self, message):
+        for counted in message.markers:
+            if counted.name in self._by_name:
+                self._by_name[counted.name].on_markers(counted.used, counted.known)
 
     def _on_references(self, message):
         with self._looking:
@@ -312,6 +319,7 @@ class _Vehicle:
         self._told_s, self._told = -math.inf, VehicleStatus(name=self.name, battery_pct=math.nan)  # when last
         self._safety = self._publisher("safety", Safety, latch=True)
         self._node_status = self._publisher("node_status", VehicleNodeStatus)
+        self._refusals = self._publisher("takeoff_refusals", TakeoffRefusals, latch=True)
 
     def _publisher(self, topic, message, **options):
         return rospy.Publisher(self._prefix + topic, message, queue_size=10, tcp_nodelay=True, **options)
@@ -409,6 +417,12 @@ class _Vehicle:
             self.pilot.on_state(own, age_s, time.monotonic(), look)
 
     @_contained
+    def on_markers(self, used, known):
+        """The estimator's pose of it rests on so many markers, of those of its template."""
+        with self._lock:
+            self.pilot.on_markers(used, known)
+
+    @_contained
     def on_suspect(self, reason):
         """Its entry of /cortex_raw cannot be true."""
         with self._lock:
@@ -483,6 +497,10 @@ class _Vehicle:
             self._node.errands.put(partial(rospy.set_param, "/controller_status", orders.mode))
         if orders.simulator_reset is not None:
             self._node.errands.put(partial(rospy.set_param, "/RESET", orders.simulator_reset))
+        if orders.refusals is not None:
+            message = TakeoffRefusals(reasons=orders.refusals)
+            message.header.stamp = rospy.Time.now()
+            self._refusals.publish(message)
         for level, text in orders.log:
             _LOGS[level]("%s: %s" % (self.name, text))
         if orders.shut_down:

@@ -58,8 +58,9 @@ class ProgramFaults:
             self._acts = [act for act in self._acts if not act.over]  # those of flights before are told no longer
             for event in events:
                 begins = now + rospy.Duration.from_sec(event.start_s)
-                record = FaultRecord(next(self._ids), event.fault, event.args, "", begins, rospy.Time(), False)
-                record.safe = list(event.settings.safe)
+                safe = list(event.settings.safe)
+                number, ends = next(self._ids), rospy.Time()  # without end, until it is known
+                record = FaultRecord(number, event.fault, event.args, "", begins, ends, False, safe)
                 self._acts.append(_Act(record, event))
                 self._plan(now_s + event.start_s, self._begin, self._acts[-1])
             self._tell()

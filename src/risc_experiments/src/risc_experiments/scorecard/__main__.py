@@ -14,6 +14,7 @@ from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_experiments.estimators import estimator_of
 from risc_experiments.offline import Flight
+from risc_experiments.option_types import number
 from risc_experiments.scorecard import output
 from risc_experiments.scorecard.figures import compare, key_of, row_of, totals_of
 from risc_experiments.scorecard.flights import Record, code_version, fly_plan
@@ -31,7 +32,7 @@ from risc_experiments.scorecard.plan import (
     vehicles_of,
 )
 from risc_lab.revision import revision
-from risc_simulator.faults import load_faults
+from risc_simulator.faults import REGISTRY, load_faults
 
 
 def arguments(argv=None):
@@ -50,10 +51,10 @@ def arguments(argv=None):
         % ", ".join(ESTIMATORS.names()))  # fmt: skip
     add("--controllers", metavar="A,B", type=_names, default=(Flight.controller,), help="of %s (default: %s)"
         % (", ".join(CONTROLLERS.names()), Flight.controller))  # fmt: skip
-    add("--minutes", type=_positive, metavar="M", help="on the course, at least, of each row")
-    add("--seeds", type=_whole, metavar="N", help="N flights of each row, with the seeds 1 to N; with --minutes of M/N "
+    add("--minutes", type=number(0.01), metavar="M", help="on the course, at least, of each row")
+    add("--seeds", type=number(1), metavar="N", help="N flights of each row, with the seeds 1 to N; with --minutes M/N "
         "minutes each")  # fmt: skip
-    add("--seed", type=_whole, metavar="K", help="only the flight of each row that has this seed, to look into it")
+    add("--seed", type=number(1), metavar="K", help="only the flight of each row that has this seed, to look into it")
     add("--no-ladder", action="store_false", dest="ladder", help="control arm: the vehicle nodes' safety ladder is off")
     add("--from", type=pathlib.Path, metavar="BAG", dest="bag", help="write the faults that a bag shows into DIR; fly "
         "them")  # fmt: skip
@@ -62,7 +63,7 @@ def arguments(argv=None):
     add("--out", type=pathlib.Path, metavar="DIR", help="folder (default: flights/scorecard, or "
         "flights/scorecard_no_ladder)")  # fmt: skip
     add("--settings", type=pathlib.Path, metavar="YAML", help="in place of config/scorecard.yaml")
-    add("--workers", type=_whole, metavar="N", help="flights at the same time (default: a core each)")
+    add("--workers", type=number(1), metavar="N", help="flights at the same time (default: a core each)")
     args = parser.parse_args(argv)
     if args.out is None:
         args.out = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."), "flights", "scorecard")
@@ -76,20 +77,6 @@ def _names(text):
     if not names:
         raise argparse.ArgumentTypeError("needs at least one name")
     return names
-
-
-def _positive(text):
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise ValueError
-    return value
-
-
-def _whole(text):
-    value = int(text)
-    if value < 1:
-        raise ValueError
-    return value
 
 
 def plan_of(args):
@@ -108,7 +95,12 @@ def plan_of(args):
     names = args.faults or (quick.faults if args.quick else (NONE, *members(params), RANDOM))
     severities = args.severities or (quick.severities if args.quick else GRADES)
     _check(severities, GRADES, "severity", "severities")
-    _check([name for name in names if not is_file(name)], [NONE, RANDOM, *members(params)], "fault", "faults")
+    graded = [NONE, RANDOM, *members(params)]
+    for name in names:
+        if name in REGISTRY.names() and name not in graded:
+            text = "fault %s has no grades, or is left out by the settings: fly it from a list, with --faults FILE.yaml"
+            raise ValueError(text % name)
+    _check([name for name in names if not is_file(name)], graded, "fault", "faults")
     _check(args.controllers, CONTROLLERS.names(), "controller", "controllers")
     for name in filter(is_file, names):
         load_faults(name)
@@ -175,6 +167,8 @@ def main(argv=None):
     parser, args = arguments(argv)
     command = "./maap scorecard " + shlex.join(sys.argv[1:] if argv is None else argv)
     progress = Progress()
+    if args.json and not args.json.parent.is_dir():
+        parser.error("--json: there is no folder %s" % args.json.parent)
     try:
         if args.bag is not None:
             args.faults = (_script(args, progress),)
@@ -191,8 +185,11 @@ def main(argv=None):
         progress.say("scorecard: nothing was flown")
         return code
     if against is not None:
-        differences = compare(scorecard["rows"], against["rows"])
-        scorecard["against"] = {"file": str(args.against), "differences": differences}
+        scorecard["against"] = {
+            "file": str(args.against),
+            "conditions": output.differing_conditions(scorecard, against),
+            "differences": compare(scorecard["rows"], against["rows"]),
+        }
     paths = output.write_all(scorecard, args.out)
     if args.json:
         output.write_json(scorecard, args.json)

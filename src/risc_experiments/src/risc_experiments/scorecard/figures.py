@@ -11,8 +11,6 @@ from collections import Counter
 import numpy as np
 from scipy import stats
 
-from data_extraction.flight_metrics import percentiles_ms
-
 CONFIDENCE = 0.95
 RULE_OF_THREE = 3.0
 COUNTED = ("false_alarms", "breaches", "contacts")
@@ -41,7 +39,7 @@ def row_of(cell, flights):
     }
     row["rmse_m"] = round(math.sqrt(square_m2 / samples), 6) if samples else None
     row["worst_m"] = max((figures["worst_m"] for figures in flown.values() if figures["samples"]), default=None)
-    row |= percentiles_ms(1e-3 * np.array(delays_ms), _DETECT)
+    row |= _percentiles(delays_ms)
     row |= {"events": len(events), "detected": len(delays_ms)}
     row["detected_bounds"] = share_bounds(len(delays_ms), len(events))
     row["detected_by"] = dict(Counter(how for *_, how in events if how is not None))
@@ -59,6 +57,13 @@ def row_of(cell, flights):
     }
     row["detect_ms"] = delays_ms
     return row
+
+
+def _percentiles(delays_ms):
+    """{name: percentile}, each a delay that was measured (nearest rank): the p99 of fewer than 100 is the largest."""
+    if not delays_ms:
+        return dict.fromkeys(_DETECT)
+    return dict(zip(_DETECT, np.percentile(delays_ms, list(_DETECT.values()), method="inverted_cdf").tolist()))
 
 
 def totals_of(rows):
@@ -98,16 +103,16 @@ def compare(rows, others):
     that chance alone makes such a difference, and whether it is significant (5 % for all together, Holm).
 
     Errors: of flights with the same seed, Wilcoxon's signed ranks.  Delays: of all events, Mann and Whitney.  Shares:
-    Fisher.  What is counted in minutes: conditional binomial.
+    Fisher.  What happens in minutes, as rates: conditional binomial.
     """
-    there = {tuple(row[key] for key in KEY): row for row in others}
+    by_key = {tuple(row[key] for key in KEY): row for row in others}
     found = []
     for row in rows:
-        other = there.get(tuple(row[key] for key in KEY))
+        other = by_key.get(tuple(row[key] for key in KEY))
         if other is not None:
             found += [
-                {key: row[key] for key in KEY} | {"figure": what, "here": row[key], "there": other[key], "p": p}
-                for what, key, p in _differences(row, other)
+                {key: row[key] for key in KEY} | {"figure": what, "here": here, "there": there, "p": p}
+                for what, here, there, p in _differences(row, other)
             ]
     ranked = sorted((item for item in found if item["p"] is not None), key=lambda item: item["p"])
     holds = True
@@ -118,26 +123,30 @@ def compare(rows, others):
 
 
 def _differences(row, other):
-    """Yields (figure, its key, p) of two rows; p None: too little is known."""
+    """Yields (figure, here, there, p) of two rows; p None: too little is known."""
+    both = row, other
     seeds = sorted(row["flight_rmse_m"].keys() & other["flight_rmse_m"].keys())
     steps_m = [row["flight_rmse_m"][seed] - other["flight_rmse_m"][seed] for seed in seeds]
     p = None
     if len(seeds) >= _LEAST_PAIRS:
         p = float(stats.wilcoxon(steps_m).pvalue) if any(steps_m) else 1.0
-    yield "rmse_m", "rmse_m", p
+    yield "rmse_m", *(part["rmse_m"] for part in both), p
     p = None
     if row["detect_ms"] and other["detect_ms"]:
         p = float(stats.mannwhitneyu(row["detect_ms"], other["detect_ms"]).pvalue)
-    yield "detect_p50_ms", "detect_p50_ms", p
+    yield "detect_p50_ms", *(part["detect_p50_ms"] for part in both), p
     p = None
     if row["events"] and other["events"]:
-        table = [[part["detected"], part["events"] - part["detected"]] for part in (row, other)]
+        table = [[part["detected"], part["events"] - part["detected"]] for part in both]
         p = float(stats.fisher_exact(table).pvalue)
-    yield "detected", "detected", p
+    yield "detected", *(_ratio(part["detected"], part["events"]) for part in both), p
     for what in COUNTED:
-        count, in_all = row[what], row[what] + other[what]
-        share = row["minutes"] / (row["minutes"] + other["minutes"]) if row["minutes"] + other["minutes"] else 0.0
+        in_all, minutes = (sum(part[key] for part in both) for key in (what, "minutes"))
         p = None
-        if 0.0 < share < 1.0:
-            p = float(stats.binomtest(count, in_all, share).pvalue) if in_all else 1.0
-        yield what, what, p
+        if row["minutes"] and other["minutes"]:
+            p = float(stats.binomtest(row[what], in_all, row["minutes"] / minutes).pvalue) if in_all else 1.0
+        yield what, *(_ratio(part[what], part["minutes"]) for part in both), p
+
+
+def _ratio(count, of):
+    return count / of if of else None

@@ -1,5 +1,6 @@
 """A flight of the scorecard: from what was flown to its figures, and many of them, each kept in a file at once."""
 
+import contextlib
 import hashlib
 import json
 import math
@@ -57,13 +58,13 @@ def score(item):
 
 
 def _when(result, event):
-    """E.g. "after 23.41 s, 0.30 s after the begin of jump:0.3,risc2"."""
+    """E.g. "after 23.41 s, 0.30 s after the start of jump:0.3,risc2"."""
     before = [outcome for outcome in result.faults if outcome.start_s <= event.time_s]
     if not before:
         return "after %.2f s" % event.time_s
     last = max(before, key=lambda outcome: outcome.start_s)
     since_s = event.time_s - last.start_s
-    return "after %.2f s, %.2f s after the begin of %s:%s" % (event.time_s, since_s, last.name, last.args)
+    return "after %.2f s, %.2f s after the start of %s:%s" % (event.time_s, since_s, last.name, last.args)
 
 
 def _errors(result):
@@ -196,21 +197,15 @@ def _difference(before, now):
 
 def code_version():
     """Digest of everything that flies: sources, settings and fleets of our packages, and members from elsewhere."""
-    packages = [pathlib.Path(folder) for package in _SOURCES for folder in package.__path__]
-    folders = packages + [package_file(package.__name__, "config") for package in _SOURCES if _has_config(package)]
-    folders += member_folders()
+    folders = [pathlib.Path(folder) for package in _SOURCES for folder in package.__path__] + member_folders()
+    for package in _SOURCES:
+        with contextlib.suppress(ValueError):  # it has none
+            folders.append(package_file(package.__name__, "config"))
     digest = hashlib.sha256()
     for folder in folders:
         for path in sorted(path for suffix in ("*.py", "*.yaml") for path in folder.rglob(suffix)):
             digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
-
-
-def _has_config(package):
-    try:
-        return package_file(package.__name__, "config").is_dir()
-    except ValueError:
-        return False
 
 
 def fly_plan(plan, record, workers, on_progress):

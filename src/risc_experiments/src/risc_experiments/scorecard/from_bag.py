@@ -20,7 +20,7 @@ from data_extraction.flatten import seconds, stamp_or_receipt_s
 from data_extraction.report.drops import MARKER_LIMIT_M, MOCAP
 from data_extraction.report.topics import fits
 from risc_lab.phases import TrajectoryPhase
-from risc_simulator.faults import FaultEvent
+from risc_simulator.faults import FaultEvent, fault_settings
 
 _TIME, _PHASES = "/mocap_time", "/trajectory_phase"
 _GAP_S = 0.05
@@ -58,11 +58,11 @@ class Seen(NamedTuple):
 
 
 def read(path, bodies, on_progress=None):
-    """Recording of a bag. bodies: names of those that count.  on_progress: called with the part that is read.
+    """Recording of a bag. bodies: names of those that count; those that are never seen are left out.
 
-    Raises BagError.
+    on_progress: called with the part that is read.  Raises BagError, and ValueError when none of them is seen.
     """
-    recording, late_s = Recording(tuple(bodies)), {}
+    recording, late_s, there = Recording(tuple(bodies)), {}, set()
     begin_s, end_s = None, math.inf
     with Bag(path) as bag:
         bag.require([MOCAP])
@@ -71,6 +71,7 @@ def read(path, bodies, on_progress=None):
             if topic == MOCAP:
                 recording.stamps_s.append(stamp_or_receipt_s(message, receipt_s))
                 _take_markers(recording, message)
+                there.update(body.name for body in message.Obj)
                 if on_progress:
                     on_progress(bag.fraction(receipt_s))
             elif topic == _TIME:
@@ -81,6 +82,12 @@ def read(path, bodies, on_progress=None):
                     begin_s = seconds(message.header.stamp)
                 elif not on and begin_s is not None:
                     end_s = min(end_s, seconds(message.header.stamp))
+    recording.names = tuple(
+        name for name in bodies if any(np.isfinite(markers_m).any() for markers_m in recording.markers_m[name])
+    )
+    if not recording.names:
+        text = "%s: motion capture saw none of %s, only %s: put the fleet file of the flight beside it, as fleet.yaml"
+        raise ValueError(text % (path, ", ".join(bodies), ", ".join(sorted(there)) or "nothing"))
     recording.late_s = [late_s.get(stamp_s, math.nan) for stamp_s in recording.stamps_s]
     recording.course_s = None if begin_s is None else (begin_s, end_s)
     return recording
@@ -229,17 +236,18 @@ def events_of(recording, seen, vehicles):
     """
     begin_s, end_s = recording.course_s or (min(recording.stamps_s, default=0.0), math.inf)
     inside = [item for item in seen if begin_s <= item.start_s < end_s]
-    events = [
-        FaultEvent(
-            item.fault,
-            vehicle=vehicles.get(item.body, "") if item.body else "",
-            severity=item.severity and round(item.severity, 4),
-            duration_s=round(item.duration_s, 4),
-            start_s=round(item.start_s - begin_s, 4),
-        )
-        for item in inside
-    ]
+    events = [_event(item, vehicles.get(item.body, ""), item.start_s - begin_s) for item in inside]
     return events, len(seen) - len(inside)
+
+
+def _event(item, vehicle, start_s):
+    """FaultEvent of a Seen, as severe and long as its member can be."""
+    settings = fault_settings(item.fault)
+    severity, duration_s = (
+        None if value is None else round(min(max(value, low), high), 4)
+        for value, (low, high) in ((item.severity, settings.severity), (item.duration_s, settings.duration_s))
+    )
+    return FaultEvent(item.fault, vehicle, severity, duration_s, round(start_s, 4))
 
 
 def make_script(bag_path, path, vehicles, on_progress=None):

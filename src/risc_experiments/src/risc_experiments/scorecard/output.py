@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import operator
 
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
@@ -10,6 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from data_extraction import plots
 from data_extraction.report import page
+from risc_control.failsafe import SafetyLimits
 from risc_experiments.scorecard.figures import COUNTED, KEY
 from risc_experiments.scorecard.plan import GRADES
 from risc_lab.lab.yaml_reader import package_file
@@ -18,11 +20,15 @@ _SCALARS = (
     *KEY, "minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms", "detect_p99_ms",
     "unsafe", *COUNTED,
 )  # fmt: skip
-_COLOURS = dict(zip(GRADES, plots.COLOURS[2:1:-1] + (plots.COLOURS[4], plots.COLOURS[1])))
+_COLOURS = {grade: plots.COLOURS[k] for grade, k in zip(GRADES, (2, 4, 1))}
 _OTHER = plots.COLOURS[0]
 _SHIFT = dict(zip(GRADES, (-0.22, 0.0, 0.22)))  # of a line of the picture, for each grade
-_HOLD_MS = 100.0  # a state older than this is no state: the ladder's own threshold
-_UNITS = {"rmse_m": (1e3, "mm", 1), "detect_p50_ms": (1.0, "ms", 0)}  # factor, unit, digits
+_LINE = operator.itemgetter("fault", "estimator", "controller")  # what a line of the picture is of
+_CONDITIONS = ("ladder", "trajectories", "vehicles", "flight_s", "events", "random")
+_MARKERS = {"breaches": "X", "contacts": "P", "false_alarms": "v"}
+# factor, unit, digits of a figure in a comparison
+_UNITS = {"rmse_m": (1e3, "mm", 1), "detect_p50_ms": (1.0, "ms", 0), "detected": (100.0, "%", 0)}
+_PER_MINUTE = (1.0, "per minute", 2)
 WORDS = {
     "rmse_m": "RMSE", "detect_p50_ms": "detection, p50", "detected": "events detected", "false_alarms": "false alarms",
     "breaches": "breaches", "contacts": "contacts",
@@ -53,7 +59,7 @@ def page_values(scorecard):
     return {
         "card": {"against": None} | scorecard, "pairs": _pairs(scorecard["rows"]), "head": HEAD, "meaning": MEANING,
         "most_named": MOST_NAMED, "draw": draw, "cells": cells, "compared": compared, "rate": rate,
-        "minutes_text": minutes_text,
+        "minutes_text": minutes_text, "otherwise": OTHERWISE,
     }  # fmt: skip
 
 
@@ -66,6 +72,12 @@ def read(path):
     except (ValueError, TypeError, KeyError, AttributeError):
         pass
     raise ValueError("%s is no scorecard: give the JSON file of another ./maap scorecard" % path)
+
+
+def differing_conditions(scorecard, other):
+    """Names of what both were flown with, where that differs: then a difference may come from it."""
+    both = [{"ladder": card.get("ladder"), **card.get("settings", {})} for card in (scorecard, other)]
+    return [name for name in _CONDITIONS if both[0].get(name) != both[1].get(name)]
 
 
 def write_json(scorecard, path):
@@ -114,7 +126,7 @@ def _short(value, up=True):
     digits = math.ceil(digits - 1e-6) if up else math.floor(digits + 1e-6)
     value = digits / 10.0 * 10.0**exponent
     if exponent >= -2:
-        return "%.2g" % value
+        return "%g" % value
     return ("%.1e" % value).replace(".0e", "e").replace("e-0", "e-")
 
 
@@ -151,6 +163,8 @@ def markdown(scorecard):
         lines.append("- and %d more, see the JSON file" % left)
     if "against" in scorecard:
         lines += ["", "## Against %s" % scorecard["against"]["file"], ""]
+        if scorecard["against"]["conditions"]:
+            lines += [OTHERWISE % ", ".join(scorecard["against"]["conditions"]), ""]
         items = [item for item in scorecard["against"]["differences"] if item["significant"]]
         if items:
             lines += _table((*KEY, "figure", "here", "there", "p"), map(compared, items), 5)
@@ -160,11 +174,12 @@ def markdown(scorecard):
 
 
 MOST_NAMED = 20
+OTHERWISE = "The two were not flown under the same conditions (%s): differences may come from that."
 MEANING = (
-    "Errors: against truth, while on the course. Detected: from the begin of a fault to the first failsafe level above "
-    "OK, or until a vehicle is not seen any more, whichever is first. False alarms: levels above OK that no fault "
-    "explains. Breaches: into the net or onto the floor. Contacts: two vehicles touched. A minute is one of the whole "
-    "fleet, on the course."
+    "Errors: against truth, while on the course. Detected: from the start of a fault to the first failsafe level above "
+    "OK, or until a vehicle is not seen any more, whichever is first; the p99 of fewer than 100 is the largest. False "
+    "alarms: levels above OK that no fault explains. Breaches: into the net or onto the floor. Contacts: two vehicles "
+    "touched. A minute counts once for the whole fleet, on the course, until all of it has landed."
 )
 
 
@@ -174,10 +189,10 @@ def _of(item):
 
 def compared(item):
     """Texts of a difference."""
-    factor, unit, digits = _UNITS.get(item["figure"], (1.0, "", 0))
+    factor, unit, digits = _UNITS.get(item["figure"], _PER_MINUTE)
     values = ["%s %s" % (_number(item[key], factor, digits), unit) for key in ("here", "there")]
     p = "–" if item["p"] is None else "%.2g" % item["p"]
-    return [*(item[key] for key in KEY), WORDS[item["figure"]], *map(str.strip, values), p]
+    return [*(item[key] for key in KEY), WORDS[item["figure"]], *values, p]
 
 
 def _pairs(rows):
@@ -189,12 +204,11 @@ def draw(scorecard):
     """The figure of all rows: errors, delays until detection, and what should not have happened."""
     rows = scorecard["rows"]
     pairs = _pairs(rows)
-    names = list(dict.fromkeys((row["estimator"], row["controller"], row["fault"]) for row in rows))
+    names = list(dict.fromkeys(map(_LINE, rows)))
     places = {name: len(names) - 1 - place for place, name in enumerate(names)}
-    figure, (error, delay, bad) = plt.subplots(1, 3, sharey=True, figsize=(10.0, 1.6 + 0.27 * len(names)),
-                                               gridspec_kw={"width_ratios": (3, 3, 3)})  # fmt: skip
+    figure, (error, delay, bad) = plt.subplots(1, 3, sharey=True, figsize=(10.0, 1.6 + 0.27 * len(names)))
     for row in rows:
-        y = places[row["estimator"], row["controller"], row["fault"]] - _SHIFT.get(row["severity"], 0.0)
+        y = places[_LINE(row)] - _SHIFT.get(row["severity"], 0.0)
         colour = _COLOURS.get(row["severity"], _OTHER)
         if row["rmse_m"] is not None:
             error.plot([1e3 * row["rmse_m"], 1e3 * row["worst_m"]], [y, y], color=colour, linewidth=1.0)
@@ -205,12 +219,10 @@ def draw(scorecard):
                        markerfacecolor=colour if 2 * row["detected"] >= row["events"] else "white")  # fmt: skip
         low, high = row["breaches_per_minute_bounds"] or (0.0, 0.0)
         bad.plot([low, high], [y, y], color=colour, linewidth=1.0)
-        for what, marker in (("breaches", "X"), ("contacts", "P"), ("false_alarms", "v")):
+        for what, marker in _MARKERS.items():
             if row[what]:
                 bad.plot(row[what] / row["minutes"], y, marker, color=colour, markersize=6, clip_on=False)
-    label = "%s" if len(pairs) == 1 else "%s, %s, %s"
-    error.set_yticks([places[name] for name in names], [label % (name[2:] if len(pairs) == 1 else (name[2], *name[:2]))
-                                                        for name in names])  # fmt: skip
+    error.set_yticks(list(places.values()), [", ".join(name[:1] if len(pairs) == 1 else name) for name in names])
     error.set_ylim(-0.6, len(names) - 0.4)
     error.set_xscale("log")
     delay.set_xscale("log")
@@ -225,14 +237,14 @@ def draw(scorecard):
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
-    delay.axvline(_HOLD_MS, color="#888888", linewidth=0.8, linestyle=":")
+    delay.axvline(1e3 * SafetyLimits.state_hold_s, color="#888888", linewidth=0.8, linestyle=":")
     severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]
     handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=_COLOURS[grade], label=grade)
                for grade in severities]  # fmt: skip
     handles.append(Line2D([], [], marker="o", linestyle="", markersize=4, color=_OTHER, markerfacecolor="white",
                           label="less than half detected"))  # fmt: skip
-    handles += [Line2D([], [], marker=marker, linestyle="", color="#444444", label=what)
-                for what, marker in (("breaches", "X"), ("contacts", "P"), ("false alarms", "v"))]  # fmt: skip
+    handles += [Line2D([], [], marker=marker, linestyle="", color="#444444", label=WORDS[what])
+                for what, marker in _MARKERS.items()]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     ladder = "" if scorecard["ladder"] else ", without the safety ladder"
     figure.suptitle("Scorecard of %s min (simulated)%s" % (minutes_text(scorecard["totals"]["minutes"]), ladder))

@@ -65,7 +65,8 @@ class FaultSettings(Settings):
     duration_s: tuple[NotNegative, NotNegative] = (0.0, math.inf)  # least and greatest
     default: FaultDefault = FaultDefault()
     grades: dict[str, float] = field(default_factory=dict)  # {mild, medium, severe: value of the argument}
-    per_vehicle: bool = False  # it happens to one vehicle, which the seed chooses where nobody else does
+    shared: bool = False  # one act for all channels of an event: then they are silent at the same time
+    per_vehicle: bool = False  # it happens to one vehicle, which the seed chooses unless the event names one
     # outcomes of a flight that are safe with it; breach: nothing can be done against it
     safe: tuple[Literal["completed", "held", "landed", "breach"], ...] = ("completed", "held", "landed")
 

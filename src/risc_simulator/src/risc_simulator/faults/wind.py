@@ -1,7 +1,5 @@
 """Air that moves with this speed [m/s], level, from a direction of the seed's, while it lasts."""
 
-import numpy as np
-
 from risc_simulator.faults._frames import level_direction
 
 
@@ -10,10 +8,10 @@ class Wind:
         self._wind_m_s = wind_m_s
 
     def begin(self, vehicle, time_s):
-        vehicle.set_wind(self._wind_m_s)
+        vehicle.change_wind(self._wind_m_s)
 
     def end(self, vehicle, time_s):
-        vehicle.set_wind(np.zeros(3))
+        vehicle.change_wind(-self._wind_m_s)
 
 
 def make(severity, rng):

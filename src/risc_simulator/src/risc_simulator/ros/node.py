@@ -15,7 +15,7 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import Crash, Fault, FaultKind, FaultKinds, FaultRecord, Faults, Told, WireFault
+from risc_maap_msgs.msg import Crash, FaultKind, FaultKinds, FaultRecord, Faults, Told, WaveBoard
 from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBackResponse
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 from risc_simulator.virtual_lab import LabOptions
@@ -113,16 +113,8 @@ class VirtualLabNode:
         self._updater.add("virtual lab", self._diagnose)
         Ticker(1.0, self._updater.force_update, "the diagnostics")
 
-        for topic, kind, take, order in (
-            ("~mocap_silence", Float64, self._on_number, lab.silence_mocap),
-            ("~light", Float64, self._on_number, lab.set_light),
-            ("~hide", Fault, self._on_fault, lab.hide),
-            ("~link_loss", Fault, self._on_fault, lab.lose_link),
-            ("~battery", Fault, self._on_fault, lab.set_battery_pct),
-            ("~board", Fault, self._on_fault, lab.wave_board),
-            ("~wire_fault", WireFault, self._on_wire_fault, lab.wire_fault),
-        ):
-            rospy.Subscriber(topic, kind, take, order, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("~light", Float64, self._on_light, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("~board", WaveBoard, self._on_board, queue_size=10, tcp_nodelay=True)
 
     def after_frame(self):
         """Carry out orders, then tell the truth about the frame that has just gone out."""
@@ -131,7 +123,7 @@ class VirtualLabNode:
             try:
                 order(*arguments)
             except ValueError as error:
-                rospy.logerr("fault injection: %s", error)
+                rospy.logerr("refused: %s", error)
         crashes = self._lab.world.crashes
         if crashes and crashes[-1] is not self._last_crash:
             new = list(itertools.takewhile(lambda crash: crash is not self._last_crash, reversed(crashes)))
@@ -229,20 +221,11 @@ class VirtualLabNode:
         self._lab.put_back(namespace)
         return "%s: put back" % (namespace or "all vehicles")
 
-    def _on_number(self, msg, order):
-        self._give(order, msg.data)
+    def _on_light(self, msg):
+        self._orders.put((self._lab.set_light, (msg.data,)))
 
-    def _on_fault(self, msg, order):
-        self._give(order, msg.name, msg.value)
-
-    def _give(self, order, *arguments):
-        if not (math.isfinite(arguments[-1]) and arguments[-1] >= 0.0):
-            rospy.logerr("fault injection: a number that is not negative is needed, got %r", arguments[-1])
-        else:
-            self._orders.put((order, arguments))
-
-    def _on_wire_fault(self, msg, order):
-        self._orders.put((order, (msg.fault, msg.channel, msg.severity, msg.duration_s or math.inf)))
+    def _on_board(self, msg):
+        self._orders.put((self._lab.wave_board, (msg.vehicle, msg.duration_s)))
 
     def _diagnose(self, status):
         lab = self._lab

@@ -61,7 +61,6 @@ class Station(TcpClients):
         super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)
         self._channels, self._latency_s = channels or 1, load_vehicle_type(vehicle.type).video_latency_s
         self.configure(0, RATES_HZ[1], 4000.0, True)
-        self.link_up = True  # False: nothing passes
         self.board_s = 0.0, 0.0  # from when until when a checkerboard is waved
         self.pictures = self.skipped = 0  # sent; left out because the computer was too slow
         self.newest_picture = 0, 0  # bytes of H.264 and frame number of the newest that was made
@@ -130,17 +129,16 @@ class Station(TcpClients):
         return self._on_the_way[0][0] if self._on_the_way else math.inf
 
     def send(self, now_s):
-        """Send what has arrived; with the link down it is lost."""
+        """Send what has arrived; to a client with whom nothing passes it is lost."""
         while self.due_s <= now_s:
             due_s, data, is_keyframe = self._on_the_way.popleft()
             self._lateness_s.append(now_s - due_s)
-            self.pictures += self.link_up
-            if self.link_up:
-                self.write((data, is_keyframe), now_s)
-            else:
-                self._waiting_for_keyframe.update(self.backlogs)
-        if self.link_up:
-            self.flush()
+            self.pictures += 1
+            self.write((data, is_keyframe), now_s)
+        self.flush()
+
+    def overflow(self, sock):
+        self._waiting_for_keyframe.add(sock)
 
     def _arrive(self, picture, sock):
         (data, is_keyframe), backlog = picture, self.backlogs[sock]
@@ -204,7 +202,7 @@ class VideoServer(SocketHost):
         """To be called once per cycle of the lab, after the world has moved."""
         self._now_s = now_s
         for station in self._all:
-            if station.backlogs and station.link_up:
+            if station.backlogs:
                 station.flush()
         if self._process is None and any(station.backlogs for station in self._all):
             self.start()

@@ -16,7 +16,7 @@ PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for so
 # How long a value stays true [s]. Mode and status come 5 times a second and more, what changes seldom is said once, the
 # others come once a second.
 _TRUE_S = {"mode": 1.0, "vehicle": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
-_TRUE_S.update(safety=math.inf, course=math.inf)
+_TRUE_S.update(safety=math.inf, course=math.inf, refusals=math.inf)
 _SOURCES = {"mode": "vehicle node", "mocap": "motion capture"}  # who says it; of others that is its name
 
 # The last rule is the page's own watch: whoever replaces the text in time restarts the animation before it shows.
@@ -64,9 +64,9 @@ class LiveStatus:
         self._asked = ("", {})  # time of day of the last press on a land button; who was asked -> (class, text)
 
     def note(self, what, whose, value, now_s):
-        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict) of a vehicle
-        by its namespace; "course" (phase), "error_m" of one by its template; "mocap" (EstimatorStatus), "references"
-        and "operator" (text of its phase) of "".
+        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict), "refusals"
+        (TakeoffRefusals) of a vehicle by its namespace; "course" (phase), "error_m" of one by its template; "mocap"
+        (EstimatorStatus), "references" and "operator" (text of its phase) of "".
         """
         self._heard[what, whose] = (value, now_s)
 
@@ -127,6 +127,9 @@ class LiveStatus:
             safety = self._news("safety", name, now_s)
             good = safety is None or safety.level == FailsafeLevel.OK
             lines.append(_span("good" if good else "bad", "safety: " + (html.escape(safety.text) if safety else "?")))
+            refusals = self._news("refusals", name, now_s)
+            reasons = refusals.reasons if refusals else ()
+            lines += [_span("bad", "take-off refused: " + html.escape(reason)) for reason in reasons]
         lines += [self._told("vehicle", name, now_s, _status_words), self._way_html(vehicle, now_s)]
         colour = "rgb(%d, %d, %d)" % tuple(255.0 * part for part in vehicle_colour(vehicle.index))
         return '<div class="vehicle" style="border-color: %s">%s</div>' % (colour, "<br/>".join(lines))

@@ -39,7 +39,10 @@ class FtpServer:
                 notices.event("reads files by FTP", (self.remote_ip, self.remote_port))
 
             def pre_process_command(self, line, cmd, arg):
-                stream.carry((line, cmd, arg), self, server._now_s, _obey, _cut)
+                if stream.is_full(self):
+                    _cut(self)
+                else:
+                    stream.carry((line, cmd, arg), self, server._now_s, _obey, _cut)
 
         Handler.authorizer.add_anonymous(str(package_file("risc_simulator", "config/ardrone_ftp")))
         self._loop = IOLoop.factory()

@@ -34,7 +34,6 @@ from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
 from risc_simulator.socket_host import TcpClients, Told, VehicleHost, open_socket
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
-from risc_simulator.vehicles.ardrone.ftp import FtpServer
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
 from risc_simulator.vehicles.ardrone.profiles import NO_LIMIT_MM, ConfigurationStore
 from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
@@ -127,7 +126,6 @@ class ArdroneHost(VehicleHost):
         self._last_at_s = None  # of the last accepted command; None before the first and after a loss
         self._com_watchdog = True  # state bit 30
         self._com_lost_s = None  # since when state bit 13 is set
-        self._link_up = True
 
         # piloting
         self._arriving = deque()  # (time, item) from the radio that is not yet due
@@ -161,13 +159,17 @@ class ArdroneHost(VehicleHost):
                 self._sockets[name] = open_socket(kind, address, getattr(ports, name), vehicle.namespace)
             asks, most = "reads the configuration", MAX_CONTROL_CLIENTS
             self._readers = TcpClients(self._sockets["control"], control, self._notices, asks, most, self._write)
+            # not for offline flights: pyftpdlib makes semaphores when it is imported, which killed workers would leave
+            from risc_simulator.vehicles.ardrone.ftp import FtpServer
+
             self._ftp = FtpServer(self._sockets["ftp"], self._notices, ftp)
         except OSError:
             self.close()
             raise
         self.hear(self._sockets["at"], self.wire("commands"), self._on_at_datagram)
         self.hear(self._sockets["navdata"], self.wire("wake_ups"), self._on_wake_up)
-        self._watch_streams()
+        self._waiting.add(self._readers)
+        self._waiting.add(self._ftp)
         self.ports = Ports(*[self._sockets[name].getsockname()[1] for name in Ports._fields])
         self._obey_configuration()
 
@@ -182,35 +184,16 @@ class ArdroneHost(VehicleHost):
         self._video = video
         self._obey_configuration()
 
-    def _watch_streams(self):
-        """Wait for the streams while there is a link: stalled, they would be readable for ever."""
-        change = self._waiting.discard if self.link_lost else self._waiting.add
-        change(self._readers)
-        change(self._ftp)
-
-    def on_readable(self, member, now_s):
-        self._now_s = now_s
-        if member in self._heard or not self.link_lost:
-            super().on_readable(member, now_s)
-        else:
-            self._watch_streams()  # a loss that has just begun
-
     def tick(self, now_s):
         """To be called once per cycle of the lab, after the world has moved."""
         self._now_s = now_s
         if now_s >= self.wires.due_s:
             self.wires.release(now_s)
-        phase, link_up = self._vehicle.phase, not self.link_lost
-        if link_up is not self._link_up:
-            self._link_up = link_up
-            self._watch_streams()
-            if self._video is not None:
-                self._video.link_up = link_up
+        phase = self._vehicle.phase
         self._watch_phase(phase)
         self._watch_link(now_s, phase)
         self._pilot(now_s, phase)
-        if link_up:
-            self._readers.flush()
+        self._readers.flush()
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
             self._send_navdata(now_s, phase)
 
@@ -252,13 +235,6 @@ class ArdroneHost(VehicleHost):
         return result
 
     # --- sockets --------------------------------------------------------------------------------------------------
-
-    def receive(self, sock):
-        for datagram in super().receive(sock):
-            if self.link_lost:
-                self._counts["datagrams_lost_in"] += 1
-            else:
-                yield datagram
 
     def _forget_pilot(self):
         self._submitted_ref = None
@@ -584,7 +560,7 @@ class ArdroneHost(VehicleHost):
         self._sequence += 1
         frame = self._frame(now_s, phase) if self._writer.has_options else None
         packet = self._writer.packet(frame, self._state_bits(phase), self._sequence)
-        if self.link_lost or (self._radio_loss > 0.0 and self._losses.random() < self._radio_loss):
+        if self._radio_loss > 0.0 and self._losses.random() < self._radio_loss:
             self._counts["datagrams_lost_out"] += 1
             return
         self._navdata.carry(packet, self._client, now_s, self._send)

@@ -141,7 +141,7 @@ class IrisHost(VehicleHost):
             self._counts["send_errors"] += 1
 
     def _is_lost(self, count):
-        lost = self.link_lost or (self._radio_loss > 0.0 and self._losses.random() < self._radio_loss)
+        lost = self._radio_loss > 0.0 and self._losses.random() < self._radio_loss
         if lost:
             self._counts[count] += 1
         return lost
@@ -199,6 +199,9 @@ class SerialLine:
         self._on_open()
 
     def _read(self, sock, now_s):
+        if self._stream.is_full(sock):  # it waits, as at a line whose buffer is full
+            self._waiting.discard(sock)
+            return
         try:
             data = sock.recv(65536)
             # a client that keeps small writes back until the last one is acknowledged must not wait for that
@@ -213,12 +216,14 @@ class SerialLine:
             self._hang_up(sock)
 
     def write(self, data, now_s):
-        """Bytes from the board; nobody hears them where nobody listens."""
-        if self._client is not None:
+        """Bytes from the board; nobody hears them where nobody listens, or the line's buffer is full."""
+        if self._client is not None and not self._stream.is_full(self._client):
             self._stream.carry(data, self._client, now_s, self._come_out, self._cut)
 
     def flush(self):
-        """Send what can be sent now."""
+        """Send what can be sent now, and read again what had to wait."""
+        if self._client is not None and not self._stream.is_full(self._client):
+            self._waiting.add(self._client)
         if self._backlog:
             try:
                 del self._backlog[: self._client.send(self._backlog)]

@@ -27,6 +27,7 @@ from risc_maap_msgs.msg import (
     Faults,
     OperatorState,
     Safety,
+    TakeoffRefusals,
     TrajectoryPhases,
     VehicleStatus,
 )
@@ -173,6 +174,7 @@ class LiveView:
             newest("/%s/controller_status" % name, Bool, lambda msg, name=name: note("mode", name, msg.data))
             newest("/%s/vehicle_status" % name, VehicleStatus, partial(note, "vehicle", name))
             every("/%s/safety" % name, Safety, lambda msg, name=name: note("safety", name, verdict_from_msg(msg)))
+            every("/%s/takeoff_refusals" % name, TakeoffRefusals, partial(note, "refusals", name))
         newest("/trajectory", Trajectories, partial(note, "references", ""))
         every("/trajectory_phase", TrajectoryPhases, self._on_phases)
         every("/operator/phase", OperatorState, lambda msg: note("operator", "", _operator_text(msg)))
