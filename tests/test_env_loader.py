@@ -259,6 +259,18 @@ def test_a_workspace_that_is_not_built_says_so(tmp_path):
     assert "Python, /nowhere/" in done.stderr and "./maap machines deploy" in done.stderr
 
 
+def test_a_workspace_that_is_half_built_says_so(tmp_path):
+    """Its environment is there, its packages are not."""
+    shutil.copy(str(COOP), str(tmp_path / "coop.sh"))
+    (tmp_path / "setup.sh").write_text("PYTHONPATH=; export PYTHONPATH\n")
+    for space in ("lib", "share"):
+        (tmp_path / space).symlink_to(COOP.parent / space)
+    launch = ("roslaunch", "-c", "laptop-0", "-u", "http://127.0.0.1:1/")
+    done = coop(*launch, path=tmp_path / "coop.sh", ROS_MASTER_URI="http://127.0.0.1:11311")
+    assert (done.returncode, done.stdout) == (1, ""), done.stderr
+    assert "only half built (No module named 'risc_doctor')" in done.stderr and "Traceback" not in done.stderr
+
+
 def test_the_install_space_gets_it_too(tmp_path):
     script = ROOT / "build/risc_doctor/cmake_install.cmake"
     command = ["cmake", "-DCMAKE_INSTALL_PREFIX=/ws/install", "-P", str(script)]

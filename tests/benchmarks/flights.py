@@ -1,8 +1,9 @@
 """Whole graph in real time over several seeds: accuracy, latency, lost frames.
 
 Each seed flies another heading. The figure of a course is the median over the seeds, of the vehicle that has the worst.
-"lab late" is how late the virtual lab itself was against its schedule (p99, median over the seeds). It waits for
-nobody, so this is what the computer took from every process, those of the graph as well.
+At the end: what the programs took, medians of all flights. "lab late" is how late the virtual lab itself was against
+its schedule (p99, median over the seeds). It waits for nobody, so this is what the computer took from every process,
+those of the graph as well.
 """
 
 import argparse
@@ -22,11 +23,12 @@ REQUIRED_RMSE_M = {0.1: 0.030, 0.3: 0.100}  # {command delay [s]: [m]}
 REQUIRED_P99_MS = {"datagram_to_cortex_raw": 5.0, "datagram_to_cmd_vel": 10.0}
 
 
-def fly(folder, course, seed, delay_s, vehicles, duration_s):
+def fly(folder, course, seed, delay_s, args):
     """One flight. Returns its summary, or None when there is none (its folder says why)."""
     command = [sys.executable, "-m", "risc_experiments.fly", "--trajectory", course, "--seed", str(seed)]
-    command += ["--delay", str(delay_s), "--vehicles", str(vehicles), "--duration", str(duration_s)]
+    command += ["--delay", str(delay_s), "--vehicles", str(args.vehicles), "--duration", str(args.duration)]
     command += ["--psi=%g" % (67.0 * seed - 180.0), "--mocap-rate", "%g" % MOCAP_HZ, "--out", str(folder)]
+    command += ["--fleet", str(args.fleet)] if args.fleet else []
     folder.mkdir(parents=True)
     with (folder / "fly.txt").open("w") as output:
         subprocess.call(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
@@ -66,6 +68,15 @@ def row_of(course, delay_s, summaries):
     }
 
 
+def cores_of(summaries):
+    """[(program, cores: median over flights)], the busiest first."""
+    taken = {}
+    for summary in summaries:
+        for name, cores in summary["cpu_cores"].items():
+            taken.setdefault(name, []).append(cores)
+    return sorted(((name, statistics.median(cores)) for name, cores in taken.items()), key=lambda item: -item[1])
+
+
 def met(row):
     """Whether a row reaches what is required; a delay in between must keep the limit of the next longer one."""
     limits = [limit for delay_s, limit in sorted(REQUIRED_RMSE_M.items()) if row["delay_s"] <= delay_s]
@@ -99,25 +110,24 @@ def main():
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--delays", nargs="+", type=float, default=(0.1, 0.3))
     parser.add_argument("--vehicles", type=int, default=3)
+    parser.add_argument("--fleet", type=pathlib.Path, help="fleet file (default: that of circles3)")
     parser.add_argument("--duration", type=float, default=40.0, help="[s] on the course")
     args = parser.parse_args()
     out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("bench_%Y%m%d-%H%M%S")
     print("%d vehicles, perturbed plant, 2 mm noise, %d seeds, another heading for each (simulated)"
           % (args.vehicles, len(args.seeds)))  # fmt: skip
     print("%-9s %6s %7s %12s %11s %7s %6s %10s %12s %9s" % ("course", "delay", "passed", "RMSE median", "RMSE worst",
-          "frames", "lost", "p99 state", "p99 cmd_vel", "lab late"), flush=True)  # fmt: skip
-    rows = []
+          "frames", "lost", "p99 state", "p99 command", "lab late"), flush=True)  # fmt: skip
+    rows, flown = [], []
     for delay_s in args.delays:
         for course in args.courses:
             folders = [out / ("%s_%gs_seed%d" % (course, delay_s, seed)) for seed in args.seeds]
-            summaries = [
-                fly(folder, course, seed, delay_s, args.vehicles, args.duration)
-                for folder, seed in zip(folders, args.seeds)
-            ]
+            summaries = [fly(folder, course, seed, delay_s, args) for folder, seed in zip(folders, args.seeds)]
+            flown += filter(None, summaries)
             row = row_of(course, delay_s, summaries)
             rows.append(row)
             print(
-                "%-9s %4.1f s %5d/%d %9.1f mm %8.1f mm %7d %6d %7.2f ms %9.2f ms %6.2f ms%s"
+                "%-9s %4g s %5d/%d %9.1f mm %8.1f mm %7d %6d %7.2f ms %9.2f ms %6.2f ms%s"
                 % (course, delay_s, row["passed"], row["flights"], 1e3 * max(row["rmse_m"].values()),
                    1e3 * row["rmse_worst_m"], row["frames"], row["frames_lost"] + row["frames_not_estimated"],
                    *row["p99_ms"].values(), row["lab_late_p99_ms"], "" if met(row) else "   misses what is required"),
@@ -125,6 +135,7 @@ def main():
             )  # fmt: skip
             if args.json:
                 args.json.write_text(json.dumps(_finite({"rows": rows}), indent=2) + "\n", encoding="utf-8")
+    print("cores: " + ", ".join("%s %.3f" % item for item in cores_of(flown) if item[1] >= 0.001))
     return 0 if all(met(row) for row in rows) else 1
 
 

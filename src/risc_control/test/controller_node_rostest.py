@@ -13,18 +13,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from std_msgs.msg import Bool
 
+from risc_lab.ros.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import ControllerReport
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 
 NAMES = ("fluffy_II", "albatross")
-TIMEOUT_S = 60.0
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
-        time.sleep(0.005)
 
 
 class Lab:
@@ -148,7 +141,7 @@ class ControllerNodeTest(unittest.TestCase):
         self.lab.offset_m = dict.fromkeys(NAMES, (0.05, 0.0, 0.0))
         controls = self.newest("/controls")
         self.assertAlmostEqual(controls["albatross"].theta, controls["fluffy_II"].theta, delta=1e-6)
-        client = Client("/thesis", timeout=TIMEOUT_S)
+        client = Client("/thesis", timeout=LIMIT_S)
         before = client.get_configuration()["q_position"]
         for q_position, ratio in ((2.0, 2.0), (0.5, 4.0)):  # those of all; the gain is the root of a weight
             client.update_configuration({"q_position": q_position})
@@ -179,7 +172,7 @@ class ControllerNodeTest(unittest.TestCase):
 
     def test_weights_change_in_flight_and_wrong_ones_do_not(self):
         self.lab.offset_m = dict.fromkeys(NAMES, (0.05, 0.0, 0.0))
-        client = Client("/full", timeout=TIMEOUT_S)
+        client = Client("/full", timeout=LIMIT_S)
         before = client.get_configuration()
         self.assertEqual(before["q_position"], 200.0, "from the YAML file")
         strong = self.newest("/controls")["fluffy_II"].theta

@@ -15,6 +15,7 @@ from std_msgs.msg import Bool
 
 from risc_control.vehicles.iris import hover_throttle
 from risc_lab.lab import load_vehicle_type
+from risc_lab.ros.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase, VehicleStatus
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 from roscopter.msg import Status
@@ -27,15 +28,7 @@ COURSES = {
 }
 PLACE_M = (0.1, -0.2, 1.0)  # where the vehicle stands still
 BATTERY_PCT, TELEMETRY_PCT = 50.0, 90
-TIMEOUT_S = 60.0
 IRIS = load_vehicle_type("iris")
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
-        time.sleep(0.01)
 
 
 class Lab:
@@ -164,7 +157,7 @@ class IrisNodesTest(unittest.TestCase):
     def test_5_gains_are_tuned_in_flight(self):
         self.lab.autonomous = True
         wait_for(lambda: self.lab.phases["tuner"] == [("IRIS", VehiclePhase.COURSE)], "on its course")
-        client = Client("/tuner/node", timeout=TIMEOUT_S)
+        client = Client("/tuner/node", timeout=LIMIT_S)
         client.update_configuration({"q_integral": 0.0})
         before = self.lab.command("tuner")
         self.assertGreater(before.theta, 0.01, "the origin is behind it")

@@ -135,7 +135,9 @@ def test_sliders_have_the_limits_of_the_class():
     pytest.importorskip("rospy")
     from risc_control.ros.controller_node import reconfigurable
 
-    config = reconfigurable(controllers.default_params("thesis_lqr"))
+    config = reconfigurable(controllers.default_params("thesis_lqr"), controllers.descriptions("thesis_lqr"))
+    texts = {item["name"]: item["description"] for item in config.config_description["parameters"]}
+    assert texts["q_position"] == "[1/m^2] horizontal" and set(texts) == set(config.defaults)
     assert set(config.min) == set(config.max) == set(config.defaults) and "q_position" in config.defaults
     assert set(config.min.values()) == {0.0} and set(config.max.values()) == {np.inf}
 

@@ -41,10 +41,10 @@ def constant(*channels_us):
 OURS, THEIRS = constant(1500, 1500, 1400, 1500), constant(1500, 1500, 1400 + OTHER_US + 1, 1500)
 
 
-def figure(late_s):
+def figure(late_s, size_us=140.0):
     """A circle flown fast, received so late."""
     return lambda now_s: [
-        *(1500 + round(140.0 * math.sin(2.5 * (now_s - late_s) + phase)) for phase in (0.0, 1.6)),
+        *(1500 + round(size_us * math.sin(2.5 * (now_s - late_s) + phase)) for phase in (0.0, 1.6)),
         *(1400 + round(40.0 * math.sin(1.1 * (now_s - late_s))), 1500),
     ]
 
@@ -97,6 +97,21 @@ def test_a_short_difference_is_none():
         told.run(0.3, OURS, THEIRS)
         told.run(0.6, OURS, OURS)
     assert told.changes == []
+
+
+def test_what_was_held_up_is_not_different():
+    """A driver stood still for two seconds, and all that it should have told comes at once."""
+    told = Told()
+    now, soon = figure(0.0, 350.0), figure(0.1, 350.0)
+    told.run(3.0, now, soon)
+    for _ in range(5):
+        told.run(2.0, now, None)
+        for k in range(20):
+            late = figure(2.0 - 0.1 * k, 350.0)(told.now_s)
+            if told.switch.receive(late, told.now_s + 1e-3 * k):
+                told.changes.append(told.now_s)
+        told.run(1.5, now, soon)
+    assert told.changes == [] and told.switch._has_agreed
 
 
 # --- in flight --------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from risc_control.trajectory_manager import Phase
+from risc_lab.ros.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
 
@@ -22,14 +23,6 @@ NODES = ("generic", "quadrants", "demo", "circle", "circles3", "target", "knot")
 NAMES = ("fluffy_II", "albatross")
 HOVER = {"fluffy_II": (0.8, 0.1, 0.9), "albatross": (-0.9, 0.0, 1.0)}
 RATE_HZ = 200.0
-TIMEOUT_S = 60.0
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
-        time.sleep(0.01)
 
 
 class Lab:

@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, Empty
 from ardrone_autonomy.msg import Navdata
 from risc_control.vehicles import adapter_class
 from risc_lab.lab.vehicle_types import load_vehicle_type
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import publishers_heard
 from risc_maap_msgs.msg import CommandsSent, Safety, VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 

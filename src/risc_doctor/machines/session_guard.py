@@ -22,10 +22,16 @@ import subprocess
 import sys
 import time
 
-import psutil
+try:
+    import psutil
 
-from risc_doctor.ros_master import MasterError, SilentError, call, host_and_port
-from risc_lab.ros.launching import argument_of, send_signal
+    from risc_doctor.ros_master import MasterError, SilentError, call, host_and_port
+    from risc_lab.ros.launching import argument_of, send_signal
+except ImportError as error:
+    sys.exit(
+        "coop.sh: the workspace on this machine is only half built (%s): run './maap build' on it, or './maap machines "
+        "deploy' on the base station" % error
+    )
 
 MARK = "RISC_MAAP_SESSION"  # every process of a launch inherits it: "<parent's URI> <name of the child>"
 ALLOW = "RISC_MAAP_ALLOW_SECOND"

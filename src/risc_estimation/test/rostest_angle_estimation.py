@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import publishers_heard
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_angles, Observed_rois, Risc_roi, Risc_rois
 

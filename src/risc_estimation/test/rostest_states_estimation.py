@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import publishers_heard
 from risc_maap_msgs.msg import BodyPoses, EstimatorStatus
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 

@@ -9,7 +9,7 @@ import unittest
 import rospy
 import rostest
 
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import publishers_heard
 from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
 
 PACKAGE = "risc_estimation"

@@ -4,6 +4,7 @@
 import contextlib
 import threading
 import time
+import xmlrpc.client
 from functools import partial
 
 import rospy
@@ -25,6 +26,7 @@ from risc_maap_msgs.msg import OperatorState, Safety, TakeoffRefusals, Trajector
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
 SERVICE_TIMEOUT_S = 5.0
+_FLIES = "~flies"  # remembered by the master, for an operator that is started again because this one died in flight
 
 
 class VirtualOperator:
@@ -41,7 +43,9 @@ class VirtualOperator:
         self._home = rospy.ServiceProxy(self._go_home, Trigger, persistent=True)
         self._lock = threading.Lock()
         go_home = partial(start, self._call_home)
-        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing)
+        again = rospy.get_param(_FLIES, False)
+        self._flies = False  # as the master was told
+        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing, again)
         self._watched = {vehicle.template: self._operator.vehicles[vehicle.namespace] for vehicle in flown}
         self._landing = set()  # vehicles whose service is being called
         self._said = None  # the newest state that was sent, as `_state` gives it
@@ -66,6 +70,7 @@ class VirtualOperator:
             "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
         )
         paced("/cortex_raw", CortexArrays, self._locked(self._on_states))
+        rospy.on_shutdown(partial(self._remember, False))
         start(self._connect_home)
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
@@ -132,6 +137,10 @@ class VirtualOperator:
         """Publish it when it is new; the caller holds the lock, so that no older one follows."""
         if state == self._said:
             return
+        flies = state[0] != OperatorPhase.WAITING and state[2] == OperatorResult.RUNNING
+        if flies != self._flies:
+            self._flies = flies
+            start(self._remember, flies)
         self._said, before = state, self._said
         self._phase.publish(state_message(state))
         rospy.loginfo("operator: phase %s", self._operator.phase_text)
@@ -139,6 +148,11 @@ class VirtualOperator:
         if result != OperatorResult.RUNNING and (before is None or result != before[2]):
             self._result.publish(state_message(state))
             rospy.loginfo("operator: result %s", ": ".join(filter(None, (result.name.lower(), reason))))
+
+    @staticmethod
+    def _remember(flies):
+        with contextlib.suppress(OSError, rospy.ROSException, xmlrpc.client.Error):  # there is no master
+            rospy.set_param(_FLIES, flies)
 
     @staticmethod
     def _call(service):

@@ -13,13 +13,13 @@ from std_msgs.msg import Bool, Empty, Float32MultiArray, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
+from risc_lab.ros.testing import wait_for
 from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross"}
 X_M = {"risc1": -1.0, "risc2": 1.0}
 LANDED, HOVERING, TAKING_OFF, LANDING = 2, 4, 6, 8
-TIMEOUT_S = 60.0
 TAKEOFF_S = LANDING_S = APPROACH_S = 0.5
 
 
@@ -114,13 +114,6 @@ class World:
     def reset(self):
         self.home_s = None
         del self.phases[:], self.results[:]
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
-        time.sleep(0.02)
 
 
 class OperatorTest(unittest.TestCase):

@@ -91,6 +91,27 @@ def test_an_optional_value_is_named_in_words():
         settings_from(_Cart, {"wheels": [], "load_kg": "much"})
 
 
+@dataclass(frozen=True)
+class _Turn(Settings):
+    psi_deg: float | Literal[""] = ""
+    ways: tuple[Literal["left", "right"], ...] = ()
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"psi_deg": "x"}, "'psi_deg' must be a number or empty, found 'x'"),
+        ({"ways": ["left", "up"]}, r"'ways\[1\]' must be 'left' or 'right', found 'up'"),
+    ],
+)
+def test_texts_beside_other_things_are_named_too(values, text):
+    with pytest.raises(ValueError, match=text):
+        settings_from(_Turn, values)
+    with pytest.raises(ValueError, match=text):
+        _Turn(**values)
+    assert settings_from(_Turn, {"psi_deg": "90"}, lenient=True).psi_deg == 90.0
+
+
 @pytest.mark.parametrize("value", ["inf", "-Infinity", "nan", math.inf])
 def test_a_text_is_no_way_around_finite_numbers(value):
     assert settings_from(_Wheel, {"name": "left", "life_s": "2.5"}, lenient=True).life_s == 2.5

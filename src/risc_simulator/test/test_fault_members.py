@@ -282,7 +282,7 @@ def test_a_pilot_who_takes_over_stops_it_and_stays_whatever_is_sent():
 
     fly(0.8)
     speed_m_s, height_m = np.linalg.norm(vehicle.state.velocity_m_s), vehicle.height_m
-    lab.add("pilot_takeover:2,risc1")
+    lab.add("pilot_takeover:2,risc1,severity=0.2")
     fly(1.9)
     assert speed_m_s > 0.3 and np.linalg.norm(vehicle.state.velocity_m_s) < 0.3 * speed_m_s
     assert abs(vehicle.height_m - height_m) < 0.5 and vehicle.firmware.channels_us[1] > 1490

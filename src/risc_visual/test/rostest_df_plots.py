@@ -8,6 +8,7 @@ import shutil
 import threading
 import time
 import unittest
+from functools import partial
 
 import cv2
 import rosnode
@@ -18,6 +19,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from risc_lab.ros.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
@@ -26,16 +28,10 @@ NAME = "df_plots"
 NODE = "/data_logger"
 BUTTON = 2  # /plot_button of the test file
 PATIENCE_S = 100.0  # a page takes a second of a computer that has the time
+wait_for = partial(wait_for, limit_s=PATIENCE_S)
 RATE_HZ = 200.0
 LATE_S = 0.05  # the vehicle is where it should have been so long ago
 SPEED_M_S = 0.5
-
-
-def wait_for(condition, what):
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "not within %g s: %s" % (PATIENCE_S, what)
-        time.sleep(0.05)
 
 
 class Flight:

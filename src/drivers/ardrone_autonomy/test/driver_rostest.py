@@ -11,7 +11,7 @@ import unittest
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from driver_process import LIMIT_S, Driver, wait_for
+from driver_process import Driver
 from geometry_msgs.msg import Twist, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry
 from scripted_drone import ScriptedDrone
@@ -24,6 +24,7 @@ from ardrone_autonomy.msg import Navdata, navdata_demo, navdata_magneto
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.navdata import ControlState, Tag
 from ardrone_autonomy.srv import CamSelect, FlightAnim, LedAnim, RecordEnable
+from risc_lab.ros.testing import LIMIT_S, wait_for
 
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between publishing and counting
 

@@ -15,7 +15,7 @@ import numpy as np
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from driver_process import LIMIT_S, Driver, wait_for
+from driver_process import Driver
 from scripted_drone import ScriptedDrone
 from scripted_video import PICTURES_PER_IDR, ScriptedVideo, bar_number, seen_channel
 from sensor_msgs.msg import CameraInfo, Image
@@ -26,6 +26,7 @@ from std_srvs.srv import Empty as EmptySrv
 from ardrone_autonomy.protocol.navdata import ControlState
 from ardrone_autonomy.srv import CamSelect, RecordEnable
 from risc_lab.lab.calibration import CameraCalibration, read_calibration, save_calibration
+from risc_lab.ros.testing import LIMIT_S, wait_for
 
 FRONT_FRAME, BOTTOM_FRAME = "lab/ardrone_base_frontcam", "lab/ardrone_base_bottomcam"
 CHANNEL_OF_FRAME = {FRONT_FRAME: 0, BOTTOM_FRAME: 1}

@@ -14,7 +14,7 @@ from sensor_msgs.srv import SetCameraInfo
 
 from camera_info_manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError
 from risc_lab.lab.calibration import read_calibration
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import publishers_heard
 
 LIMIT_S = 60.0
 

@@ -5,7 +5,6 @@ import os
 import pathlib
 import signal
 import struct
-import threading
 import time
 import unittest
 from xmlrpc.client import ServerProxy
@@ -15,47 +14,10 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import Listener, publishers_heard, wait_for
 
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80
 TIMEOUT_S = 60.0
-
-
-class Listener:
-    """Collects the messages of a topic."""
-
-    def __init__(self, topic, kind):
-        self._messages = []
-        self._condition = threading.Condition()
-        self._subscriber = rospy.Subscriber(topic, kind, self._on_message)
-
-    def _on_message(self, message):
-        with self._condition:
-            self._messages.append(message)
-            self._condition.notify_all()
-
-    def nth(self, number):
-        """Message `number` (1 is the first), once it has come."""
-        with self._condition:
-            if not self._condition.wait_for(lambda: len(self._messages) >= number, TIMEOUT_S):
-                raise AssertionError("only %d of %d messages within %g s" % (len(self._messages), number, TIMEOUT_S))
-            return self._messages[number - 1]
-
-    def any(self, fits, what, after=0):
-        """Waits until some message fits; the first `after` ones do not count."""
-        with self._condition:
-            if not self._condition.wait_for(lambda: any(map(fits, self._messages[after:])), TIMEOUT_S):
-                raise AssertionError("no message with %s within %g s" % (what, TIMEOUT_S))
-
-    def count(self):
-        with self._condition:
-            return len(self._messages)
-
-    def connected(self):
-        deadline = time.monotonic() + TIMEOUT_S
-        while not publishers_heard(self._subscriber):
-            assert time.monotonic() < deadline, "nobody publishes " + self._subscriber.resolved_name
-            time.sleep(0.02)
 
 
 def record(value, kind, number):
@@ -85,8 +47,8 @@ class JoyNodeTest(unittest.TestCase):
         path = pathlib.Path(rospy.get_param("/joy_node/dev"))
         joy = Listener("joy", Joy)
         diagnostics = Listener("/diagnostics", DiagnosticArray)
-        joy.connected()
-        diagnostics.any(status_is(2), "status 'not open' while the device is missing")
+        wait_for(lambda: publishers_heard(joy.subscriber), "somebody publishes joy")
+        diagnostics.wait_for(status_is(2), "status 'not open' while the device is missing")
 
         os.mkfifo(str(path))
         self.addCleanup(path.unlink)
@@ -106,21 +68,21 @@ class JoyNodeTest(unittest.TestCase):
             stick.write(record(-32767, AXIS, 6) + record(32767, AXIS, 7))
             moved = joy.nth(4)
             self.assertEqual((moved.axes[6], moved.axes[7]), (1.0, -1.0), "one message for both axes")
-            diagnostics.any(status_is(0), "status OK")
+            diagnostics.wait_for(status_is(0), "status OK")
 
             feedback = rospy.Publisher("joy/set_feedback", JoyFeedbackArray, queue_size=1, latch=True)
             feedback.publish(array=[JoyFeedback(type=JoyFeedback.TYPE_RUMBLE, id=0, intensity=1.0)])
             stick.write(record(1, BUTTON, 10))
             self.assertEqual(joy.nth(5).buttons[10], 1, "feedback to a device without rumble must not matter")
             time.sleep(0.1)
-            self.assertEqual(joy.count(), 5, "without autorepeat only changes are published")
+            self.assertEqual(len(joy.messages), 5, "without autorepeat only changes are published")
 
             hang(2.0, lambda: stick.write(record(1, BUTTON, 6) + record(0, BUTTON, 6)))
             self.assertEqual(joy.nth(6).buttons[6], 0, "a press of the time in which the node hung is old")
             stick.write(record(1, BUTTON, 3))
-            self.assertEqual((joy.nth(7).buttons[3], joy.count()), (1, 7))
-            reports = diagnostics.count()
-        diagnostics.any(status_is(2), "status 'not open' after the other end has gone", after=reports)
+            self.assertEqual((joy.nth(7).buttons[3], len(joy.messages)), (1, 7))
+            reports = len(diagnostics.messages)
+        diagnostics.wait_for(status_is(2), "status 'not open' after the other end has gone", after=reports)
         with open(str(path), "wb", buffering=0) as stick:  # the node must come back for it
             stick.write(record(1, BUTTON, 0))
             again = joy.nth(8)

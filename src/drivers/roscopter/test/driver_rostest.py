@@ -6,15 +6,11 @@ import itertools
 import os
 import pathlib
 import random
-import signal
-import subprocess
 import sys
 import tempfile
 import threading
-import time
 import unittest
 
-import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,10 +21,10 @@ from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Empty as EmptySrv
 
+from risc_lab.ros.testing import LIMIT_S, NodeProcess, wait_for
 from roscopter import msg
 from roscopter.srv import APMCommand, APMCommandRequest, SendWaypoint, SendWaypointList
 
-LIMIT_S = 60.0
 STICKS = [1400, 1600, 1200, 1500, 1000, 1800, 1500, 1500]
 TOPICS = {
     "gps": NavSatFix,
@@ -42,64 +38,17 @@ TOPICS = {
     "controller_output": msg.ControllerOutput,
     "current_mission": msg.CurrentMission,
 }
-_namespaces = ("/fleet%d/apm" % number for number in itertools.count(1))
 
 
-def wait_for(condition, what):
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            raise AssertionError("waited %g s for %s" % (LIMIT_S, what))
-        time.sleep(0.01)
-
-
-class Driver:
-    """A driver in its own process and namespace, with our subscribers on its topics."""
+class Driver(NodeProcess):
+    """A driver in its own process."""
 
     def __init__(self, *options, program="driver.py"):
-        self.namespace = next(_namespaces)
-        executable = roslib.packages.find_node("roscopter", program)[0]
-        self._process = subprocess.Popen(
-            [executable, *options, "__name:=roscopter", "__log:=" + os.devnull],
-            env=dict(os.environ, ROS_NAMESPACE=self.namespace),
-        )
-        self._subscribers, self._publishers = {}, {}
-        self.received = {}
-
-    def subscribe(self, name, kind):
-        messages = self.received[name] = []
-        topic = name if name.startswith("/") else self.namespace + "/" + name
-        self._subscribers[name] = rospy.Subscriber(topic, kind, messages.append, queue_size=1000)
-        return messages
-
-    def publish(self, name, message):
-        publisher = self._publishers.get(name)
-        if publisher is None:
-            publisher = self._publishers[name] = rospy.Publisher(
-                self.namespace + "/" + name, type(message), queue_size=10
-            )
-            wait_for(publisher.get_num_connections, "the driver to subscribe to " + name)
-        publisher.publish(message)
-
-    def call(self, name, kind, *arguments):
-        service = self.namespace + "/" + name
-        rospy.wait_for_service(service, LIMIT_S)
-        return rospy.ServiceProxy(service, kind)(*arguments)
+        super().__init__(group="/apm")
+        self.start("roscopter", program, *options, "__name:=roscopter", "__log:=" + os.devnull)
 
     def command(self, number):
         return self.call("command", APMCommand, number).result
-
-    def end(self, how=signal.SIGINT):
-        """Ctrl-C; the exit code."""
-        for subscriber in self._subscribers.values():
-            subscriber.unregister()
-        if self._process.poll() is None:
-            self._process.send_signal(how)
-        try:
-            return self._process.wait(LIMIT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            raise
 
 
 @contextlib.contextmanager
@@ -347,7 +296,7 @@ class DriverTest(unittest.TestCase):
 
     def test_a_wrong_option_ends_it(self):
         driver = Driver("--enable-rc-control=perhaps")
-        wait_for(lambda: driver._process.poll() is not None, "the end")
+        wait_for(lambda: driver.process.poll() is not None, "the end")
         self.assertEqual(driver.end(), 2)
 
 

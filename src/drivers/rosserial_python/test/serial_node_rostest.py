@@ -17,12 +17,13 @@ import unittest
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticStatus
-from node_process import LIMIT_S, Node, wait_for
+from node_process import Node
 from rosgraph_msgs.msg import Log
 from scripted_device import BUFFER_BYTES, Board, Listener, PseudoTerminal, serialised, topic_of
 from std_msgs.msg import Header, String, UInt32
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerResponse
 
+from risc_lab.ros.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import SerialLink
 from risc_msgs.msg import Control, Controls
 from rosserial_msgs.msg import Log as DeviceLog

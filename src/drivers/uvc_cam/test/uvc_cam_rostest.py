@@ -4,7 +4,6 @@
 import os
 import pathlib
 import shutil
-import threading
 import time
 import unittest
 
@@ -19,43 +18,9 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
-TIMEOUT_S = 60.0
+from risc_lab.ros.testing import LIMIT_S, Listener
+
 COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]  # blue green red
-
-
-class Listener:
-    """Collects the messages of a topic."""
-
-    def __init__(self, topic, kind):
-        self._messages = []
-        self._condition = threading.Condition()
-        self._subscriber = rospy.Subscriber(topic, kind, self._on_message)
-
-    def _on_message(self, message):
-        with self._condition:
-            self._messages.append(message)
-            self._condition.notify_all()
-
-    def wait_for(self, fits, what, after=0):
-        """The first message after the first `after` ones that fits, once it has come."""
-        found = []
-
-        def there():
-            found[:] = [message for message in self._messages[after:] if fits(message)][:1]
-            return found
-
-        with self._condition:
-            if not self._condition.wait_for(there, TIMEOUT_S):
-                raise AssertionError("%s did not come within %g s" % (what, TIMEOUT_S))
-        return found[0]
-
-    def count(self):
-        with self._condition:
-            return len(self._messages)
-
-    def matching(self, fits):
-        with self._condition:
-            return [message for message in self._messages if fits(message)]
 
 
 def write_pictures(folder):
@@ -101,13 +66,13 @@ class UvcCamTest(unittest.TestCase):
         shutil.rmtree(str(cls.files))
 
     def complaints(self, text):
-        return self.log.matching(lambda entry: entry.level >= Log.WARN and text in entry.msg)
+        return [entry for entry in self.log.messages if entry.level >= Log.WARN and text in entry.msg]
 
     def wait_for_status(self, node, level, text):
         def fits(array):
             return any(node in s.name and s.level == level and text in s.message for s in array.status)
 
-        self.diagnostics.wait_for(fits, "status %d '%s' of %s" % (level, text, node), self.diagnostics.count())
+        self.diagnostics.wait_for(fits, "status %d '%s' of %s" % (level, text, node), len(self.diagnostics.messages))
 
     def test_1_a_folder_that_comes_late(self):
         images = Listener("/folder/camera/image_raw", Image)
@@ -115,7 +80,7 @@ class UvcCamTest(unittest.TestCase):
         self.wait_for_status("folder/", 2, "there is no")
         time.sleep(2.5)  # two more tries
         self.assertEqual(len(self.complaints("/pictures (")), 1, "one error, however often it is tried")
-        self.assertEqual(images.count(), 0)
+        self.assertEqual(len(images.messages), 0)
 
         write_pictures(self.files / "pictures")
         seen = set()
@@ -124,7 +89,7 @@ class UvcCamTest(unittest.TestCase):
             seen.add(tuple(CvBridge().imgmsg_to_cv2(image, "bgr8")[40, 50].tolist()))
             self.assertEqual((image.width, image.height, image.step, image.encoding), (64, 48, 192, "bgr8"))
             self.assertEqual(image.header.frame_id, "risc1/camera")
-            self.assertLess(abs((rospy.Time.now() - image.header.stamp).to_sec()), TIMEOUT_S)
+            self.assertLess(abs((rospy.Time.now() - image.header.stamp).to_sec()), LIMIT_S)
             info = infos.wait_for(lambda m, s=image.header.stamp: m.header.stamp == s, "camera_info of the same stamp")
             self.assertEqual((info.width, info.height, info.K[0]), (64, 48, 0.0), "not calibrated")
             self.assertEqual(info.header.frame_id, "risc1/camera")
@@ -134,10 +99,10 @@ class UvcCamTest(unittest.TestCase):
     def test_2_a_calibration_is_taken_and_kept(self):
         infos = Listener("/folder/camera/camera_info", CameraInfo)
         set_camera_info = rospy.ServiceProxy("/folder/camera/set_camera_info", SetCameraInfo)
-        set_camera_info.wait_for_service(TIMEOUT_S)
+        set_camera_info.wait_for_service(LIMIT_S)
         answer = set_camera_info(calibration(64, 48, 55.0))
         self.assertTrue(answer.success, answer.status_message)
-        infos.wait_for(lambda m: m.K[0] == 55.0 and m.D[0] == 0.1, "the new calibration", infos.count())
+        infos.wait_for(lambda m: m.K[0] == 55.0 and m.D[0] == 0.1, "the new calibration", len(infos.messages))
         self.assertIn("folder_camera", (self.files / "calibrations" / "folder_camera.yaml").read_text())
 
     def test_3_a_calibration_of_another_size_is_told_once_and_not_used(self):
@@ -150,22 +115,22 @@ class UvcCamTest(unittest.TestCase):
         self.assertTrue(answer.success, answer.status_message)
         infos = Listener("/video/camera/camera_info", CameraInfo)
         self.log.wait_for(lambda entry: "another size" in entry.msg, "the warning")
-        info = infos.wait_for(lambda m: True, "camera_info", infos.count() + 20)
+        info = infos.wait_for(lambda m: True, "camera_info", len(infos.messages) + 20)
         self.assertEqual((info.width, info.height, info.K[0], len(info.D)), (80, 60, 0.0, 0))
         self.assertEqual(len(self.complaints("another size")), 1)
 
     def test_4_settings_change_while_it_runs(self):
         images = Listener("/folder/camera/image_raw", Image)
         images.wait_for(lambda m: m.width == 64, "pictures of the folder")
-        client = Client("/folder/uvc_cam_node", timeout=TIMEOUT_S)
+        client = Client("/folder/uvc_cam_node", timeout=LIMIT_S)
         client.update_configuration({"frame_id": "/eye"})
         images.wait_for(lambda m: m.header.frame_id == "eye", "the new frame")
         client.update_configuration({"device": str(self.files / "clip.avi")})
         images.wait_for(lambda m: m.width == 80, "pictures of the video")
         client.update_configuration({"camera_name": "not allowed"})
         self.log.wait_for(lambda entry: "camera_name" in entry.msg and entry.level == Log.ERROR, "the refusal")
-        self.assertEqual(client.get_configuration(TIMEOUT_S).camera_name, "folder_camera")
-        images.wait_for(lambda m: True, "more pictures", images.count())
+        self.assertEqual(client.get_configuration(LIMIT_S).camera_name, "folder_camera")
+        images.wait_for(lambda m: True, "more pictures", len(images.messages))
         client.update_configuration({"loop": False})
         self.wait_for_status("folder/", 0, "clip.avi is at its end")
         client.update_configuration({"loop": True})

@@ -8,21 +8,7 @@ from risc_lab.ros.launching import argument_of
 from rosserial_python.diagnosis import Cause
 from rosserial_python.link import State
 
-CODES = {
-    Cause.MISSING: "missing",
-    Cause.FORBIDDEN: "forbidden",
-    Cause.TAKEN: "taken",
-    Cause.UNREACHABLE: "unreachable",
-    Cause.PORT_FAILED: "failed",
-    Cause.VERSION: "version",
-    Cause.SPEED: "speed",
-    Cause.SILENT: "silent",
-    Cause.STOPPED: "stopped",
-    Cause.TYPES: "types",
-    Cause.SIZE: "size",
-    Cause.BREAKS: "breaks",
-    Cause.DAMAGE: "damage",
-}
+CODES = {cause: cause.name.lower() for cause in Cause if cause} | {Cause.PORT_FAILED: "failed"}
 _UNHARMED = frozenset((Cause.TYPES, Cause.SIZE))  # another reader of the port is not how these come
 
 

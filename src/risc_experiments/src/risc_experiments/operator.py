@@ -168,13 +168,15 @@ class Operator:
 
     vehicles: their namespaces.  go_home: function that has the trajectory node bring all home (or hold, when there is
     no such node), and `home_called` told how that went.  land: function of a namespace that calls its service to land.
-    Neither of them waits.
+    Neither of them waits.  started_again: an operator before this one has taken off, and died: what is in the air is
+    landed, and nothing takes off.
     """
 
-    def __init__(self, vehicles, params, now_s, go_home, land):
+    def __init__(self, vehicles, params, now_s, go_home, land, started_again=False):
         self.vehicles = {name: Watched() for name in vehicles}
         self._params, self._call_home, self._call_land = params, go_home, land
         self._begin(now_s)
+        self._found_flight = started_again  # that is not this operator's
 
     def _begin(self, now_s):
         self.phase = Phase.WAITING
@@ -187,6 +189,7 @@ class Operator:
         self._step_since_s = None
         self._steps_left = 0
         self._failure = ""  # why it did
+        self._found_flight = False
 
     def fly_again(self, now_s):
         """Begin another flight, with all vehicles. Returns why not; "" when it begins."""
@@ -238,11 +241,13 @@ class Operator:
 
     def _waiting(self, now_s):
         flying = [w for w in self.vehicles.values() if w.flies(self._params, now_s)]
-        if flying and now_s - self._since_s > _LISTEN_S:  # this program was started again: what was flown is not known
-            for w in flying:
-                cause = OutCause.LADDER if w.safety == FailsafeLevel.LAND else OutCause.MANUAL
-                w.leave(cause, "was in flight when the operator was started")
-            self._land_all("vehicles were in flight when the operator was started", now_s)
+        self._found_flight = self._found_flight or bool(flying)
+        if self._found_flight:
+            if now_s - self._since_s > _LISTEN_S:
+                for w in flying:
+                    cause = OutCause.LADDER if w.safety == FailsafeLevel.LAND else OutCause.MANUAL
+                    w.leave(cause, "was in flight when the operator was started")
+                self._land_all("the operator was started in flight", now_s)
             return
         missing = {name: w.not_ready(self._params, now_s) for name, w in self.vehicles.items()}
         self.text = "; ".join("%s %s" % item for item in missing.items() if item[1])

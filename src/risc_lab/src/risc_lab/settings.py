@@ -124,6 +124,9 @@ def _convert(value, hint, where, key="", strict=True):
         if missing:
             raise ValueError(_said(where, "%s%s.%s" % (key, path, missing[1]), "is missing")) from None
         wanted = re.sub(r"`([\w |]+)`", _in_words, text.partition(", got")[0])
+        if text.startswith("Invalid enum value"):  # of a type that takes other things beside these texts
+            kinds = [part for part in typing.get_args(_hint_at(hint, path)) if part is not ...]
+            wanted = "must be " + (" or ".join(map(_kind_in_words, kinds)) or "another value")
         found = ", found %r" % (_at(value, path),)
         raise ValueError(_said(where, key + path, wanted.replace("Expected", "must be") + found)) from None
 
@@ -138,6 +141,21 @@ def _plain(value):
 def _in_words(types):
     """Of a match of msgspec's `float | null`: a number or nothing."""
     return " or ".join(_WORDS.get(word, word) for word in types[1].split(" | "))
+
+
+def _hint_at(hint, path):
+    """The type of the field at a path, as in `_at`, of a dataclass."""
+    for name in re.findall(r"\.(\w+)", path):
+        kind = next((part for part in (hint, *typing.get_args(hint)) if is_dataclass(part)), None)
+        hint = kind and _hints(kind).get(name)
+    return hint
+
+
+def _kind_in_words(hint):
+    """Of a part of `float | Literal[""]`: a number; empty."""
+    if typing.get_origin(hint) is typing.Literal:
+        return " or ".join("'%s'" % choice if choice else "empty" for choice in typing.get_args(hint))
+    return _WORDS.get(getattr(hint, "__name__", ""), str(hint))
 
 
 def _said(where, key, text):

@@ -30,6 +30,7 @@ from risc_control.reference_buffer import MOST_ORDER, Axis, Order
 from risc_control.vehicles import Command, Controls, ControlsConverter
 from risc_lab.command_history import CommandHistory
 from risc_lab.lab.vehicle_types import load_vehicle_type, vehicle_type_file
+from risc_lab.lab.yaml_reader import config_files, key_comments
 from risc_lab.registry import Registry
 from risc_lab.settings import settings_from
 from risc_lab.states import S, States
@@ -242,6 +243,12 @@ def own_params(name, vehicles, where):
             params = settings_from(type(defaults), {**vars(defaults), **own}, "%s: controllers: %s" % (place, name))
         found.append({key: getattr(params, key) for key in own})  # whole numbers are whole, as the class wants them
     return found
+
+
+def descriptions(name):
+    """{number of a member: what its YAML file says beside it}."""
+    path = config_files("controllers", "risc_control").get(name)
+    return key_comments(path) if path else {}
 
 
 def default_params(name):

@@ -11,7 +11,7 @@ from dynamic_reconfigure.server import Server
 from rospy.numpy_msg import numpy_msg
 from std_msgs.msg import Bool, UInt8
 
-from risc_control.controllers import ControlLoop, default_params, own_params
+from risc_control.controllers import ControlLoop, default_params, descriptions, own_params
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader
 from risc_control.vehicles import adapter_class
@@ -83,7 +83,7 @@ class ControllerNode:
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._report = rospy.Publisher("/controller_report", ControllerReport, queue_size=10, tcp_nodelay=True)
         ticking_updater(", ".join(self.names)).add("controller", self._diagnose)
-        config = reconfigurable(params)
+        config = reconfigurable(params, descriptions(node.controller))
         for name, value in config.defaults.items():
             rospy.set_param("~" + name, value)  # where the server looks; a text there would end it
         self._server = Server(config, self._on_reconfigure)
@@ -270,17 +270,20 @@ def other_numbers(params, defaults):
     return text % ", ".join(others) if others else ""
 
 
-def reconfigurable(params):
+def reconfigurable(params, texts):
     """What dynamic_reconfigure is to know of the numbers of a controller: what a .cfg file would generate.
+
+    texts: {name: description}.
 
     Ranges are the limits of the class; a limit that it does not allow itself, as the 0 of `Positive`, it refuses.
     """
     limits = limits_of(type(params))
     numbers = {name: value for name, value in vars(params).items() if isinstance(value, float)}
-    parameter = {"type": "double", "level": 0, "description": "", "edit_method": ""}
+    parameter = {"type": "double", "level": 0, "edit_method": ""}
+    parameters = [{"name": name, "description": texts.get(name, ""), **parameter} for name in numbers]
     group = {"name": "Default", "type": "", "state": True, "id": 0, "parent": 0, "groups": []}
     return SimpleNamespace(
-        config_description={**group, "parameters": [{"name": name, **parameter} for name in numbers]},
+        config_description={**group, "parameters": parameters},
         defaults=numbers,
         min={name: limits[name][0] for name in numbers},
         max={name: limits[name][1] for name in numbers},

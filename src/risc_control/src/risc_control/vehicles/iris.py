@@ -33,6 +33,7 @@ SAME_US = 30  # until it differs by less
 REPORTS = 8  # of what is received, that are looked at together
 _DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sends to what the autopilot says of it,
 _SPREAD_S = 0.25  # and more, from one to the next
+_BURST_S, _GAP_S = 0.01, 1.0  # between reports: those that were held up, and those before a gap, say nothing of now
 
 _BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle", 2: "follows commands", 3: "failsafe"}
 
@@ -156,6 +157,7 @@ class TrainerSwitch:
         self._has_agreed = False
         self._sent = deque()  # (time [s], channels [us]) of as long as they may matter
         self._fits = deque(maxlen=REPORTS)  # of each that was received: for each delay, whether it was sent then
+        self._received_s = -math.inf  # the newest
 
     def send(self, channels_us, now_s):
         """The board says that it sends these."""
@@ -166,7 +168,10 @@ class TrainerSwitch:
         while self._sent and now_s - self._sent[0][0] > _DELAYS_S[-1] + _SPREAD_S:
             self._sent.popleft()
         received_us, most_us = channels_us[:STICKS], SAME_US if self.is_off else OTHER_US
-        if not self._sent or not all(0 < us < 65535 for us in received_us):
+        since_s, self._received_s = now_s - self._received_s, now_s
+        if since_s > _GAP_S:
+            self._fits.clear()
+        if since_s < _BURST_S or not self._sent or not all(0 < us < 65535 for us in received_us):
             return False
         self._fits.append([self._was_sent(received_us, most_us, now_s - delay_s) for delay_s in _DELAYS_S])
         before, fitting = self.is_off, max(map(sum, zip(*self._fits)))

@@ -65,6 +65,11 @@ _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+\Z")
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+0123456789"))
 
 
+def key_comments(path):
+    """{key: comment that ends its line} of the outermost keys of a YAML file."""
+    return dict(re.findall(r"(?m)^(\w+):[^#\n]*# *(.+)$", pathlib.Path(path).read_text(encoding="utf-8")))
+
+
 def load_yaml(path):
     """Content of a YAML file as a dict. Raises ValueError when it is missing, malformed or not a mapping."""
     try:

@@ -1,4 +1,4 @@
-"""risc_lab.ros.heard against a publisher that keeps its subscriber waiting."""
+"""risc_lab.ros.testing.publishers_heard against a publisher that keeps its subscriber waiting."""
 
 import socket
 import struct
@@ -11,7 +11,7 @@ from rospy.impl.tcpros_base import TCPROSTransport  # noqa: E402
 from rospy.impl.tcpros_pubsub import TCPROSSub  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 
-from risc_lab.ros.heard import publishers_heard  # noqa: E402
+from risc_lab.ros.testing import publishers_heard  # noqa: E402
 
 
 def header(**fields):

@@ -1,0 +1,125 @@
+"""For tests with a graph: waiting, and a node in a process of its own that is spoken to by its topics and services."""
+
+import itertools
+import os
+import signal
+import subprocess
+import time
+
+import roslib.packages
+import rospy
+
+LIMIT_S = 60.0  # for what happens within a second or two on a quiet computer
+_UNKNOWN = "unknown"  # the name that rospy gives a publisher until its header has come
+_numbers = itertools.count(1)
+
+
+def wait_for(condition, what, limit_s=LIMIT_S):
+    """Raises AssertionError when the condition does not come true."""
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise AssertionError("not within %g s: %s" % (limit_s, what))
+        time.sleep(0.005)
+
+
+def publishers_heard(subscriber):
+    """Names of the nodes of which every message reaches this rospy.Subscriber from now on, in a set; rospy's
+    get_num_connections counts those that it has only decided to call.
+    """
+    callers = {connection.callerid_pub for connection in subscriber.impl.connections}
+    return callers - {_UNKNOWN}
+
+
+class Listener:
+    """Collects the messages of a topic."""
+
+    def __init__(self, topic, kind):
+        self.messages = []
+        self.subscriber = rospy.Subscriber(topic, kind, self.messages.append, queue_size=1000, tcp_nodelay=True)
+
+    def wait_for(self, fits, what, after=0):
+        """The first message after the first `after` ones that fits, once it has come."""
+        wait_for(lambda: any(map(fits, self.messages[after:])), what)
+        return next(filter(fits, self.messages[after:]))
+
+    def nth(self, number):
+        """Message `number`, 1 is the first, once it has come."""
+        wait_for(lambda: len(self.messages) >= number, "message %d of %s" % (number, self.subscriber.resolved_name))
+        return self.messages[number - 1]
+
+
+class NodeProcess:
+    """A node, and our publishers and subscribers on its topics."""
+
+    def __init__(self, group=""):
+        """group: what its namespace, which no other one has, ends with."""
+        self.namespace = "/node%d%s" % (next(_numbers), group)
+        self.received = {}  # {topic: messages}
+        self._publishers, self._subscribers = {}, {}
+
+    def start(self, package, program, *arguments, environment=None, output=None):
+        """environment: variables beside our own.  output: as of Popen, of both streams."""
+        self.process = subprocess.Popen(
+            [roslib.packages.find_node(package, program)[0], *arguments],
+            env=dict(os.environ, ROS_NAMESPACE=self.namespace, **(environment or {})),
+            stdout=output,
+            stderr=subprocess.STDOUT if output else None,
+            text=True,
+        )
+
+    def name_of(self, topic):
+        """A topic's whole name."""
+        return topic if topic.startswith("/") else self.namespace + "/" + topic
+
+    def subscribe(self, topic, kind):
+        """All messages of a topic from now on go to the list received[topic]."""
+        messages = self.received[topic] = []
+        self._subscribers[topic] = rospy.Subscriber(
+            self.name_of(topic), kind, messages.append, queue_size=1000, buff_size=1 << 22, tcp_nodelay=True
+        )
+        return messages
+
+    def listen(self, topic, kind):
+        """The same of a topic that it publishes already: none is missed."""
+        messages = self.subscribe(topic, kind)
+        wait_for(lambda: publishers_heard(self._subscribers[topic]), "the node publishes " + topic)
+        return messages
+
+    def unsubscribe(self, topic):
+        """The list of the topic grows no more."""
+        self._subscribers.pop(topic).unregister()
+
+    def publisher(self, topic, kind):
+        """To the node, which listens already."""
+        if topic not in self._publishers:
+            publisher = rospy.Publisher(self.name_of(topic), kind, queue_size=100, tcp_nodelay=True)
+            wait_for(publisher.get_num_connections, "the node subscribes to " + topic)
+            self._publishers[topic] = publisher
+        return self._publishers[topic]
+
+    def publish(self, topic, message):
+        self.publisher(topic, type(message)).publish(message)
+
+    def call(self, service, kind, *arguments):
+        rospy.wait_for_service(self.name_of(service), LIMIT_S)
+        return rospy.ServiceProxy(self.name_of(service), kind)(*arguments)
+
+    def alive(self):
+        return self.process.poll() is None
+
+    def end(self, how=signal.SIGINT):
+        """Ctrl-C; the exit code. Our publishers and subscribers end as well."""
+        for topic in list(self._subscribers):
+            self.unsubscribe(topic)
+        if self.alive():
+            self.process.send_signal(how)
+        try:
+            return self.process.wait(LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise
+        finally:
+            for publisher in self._publishers.values():
+                publisher.unregister()
+            self._publishers.clear()
