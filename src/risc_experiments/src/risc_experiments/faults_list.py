@@ -31,13 +31,12 @@ def describe(name):
     """Lines about a fault. Raises ValueError for an unknown one."""
     settings = fault_settings(name)
     low, high = settings.argument_range
-    unit = settings.unit if settings.argument == "severity" else "s"
     if low == high:
         argument = "%g" % low
     else:
         argument = "%g to %g" % (low, high) if math.isfinite(high) else "any, from %g" % low
     yield "%s: %s" % (name, settings.summary)
-    yield "    argument  %s, %s%s" % (settings.argument, argument, " " + unit if unit else "")
+    yield "    argument  %s" % " ".join(filter(None, (settings.argument + ",", argument, settings.argument_unit)))
     default = "severity %g" % settings.default_severity if settings.severity[0] != settings.severity[1] else ""
     lasts_s = settings.default.duration_s
     lasts = "for %g s" % lasts_s if math.isfinite(lasts_s) else "until the end"

@@ -89,9 +89,18 @@ class FaultSettings(Settings):
         return self.severity[0] if self.default.severity is None else self.default.severity
 
     @property
+    def argument_field(self):
+        """The field of a FaultEvent that the argument is."""
+        return "severity" if self.argument == "severity" else "duration_s"
+
+    @property
     def argument_range(self):
         """Least and greatest value of the argument."""
-        return self.severity if self.argument == "severity" else self.duration_s
+        return getattr(self, self.argument_field)
+
+    @property
+    def argument_unit(self):
+        return self.unit if self.argument == "severity" else "s"
 
     @property
     def on_programs(self):
@@ -142,7 +151,7 @@ class FaultEvent(Settings):
         settings = self.settings
         numbers = {"severity": (self.severity, settings.default_severity),
                    "duration_s": (self.duration_s, settings.default.duration_s)}  # fmt: skip
-        value, _ = numbers.pop("severity" if settings.argument == "severity" else "duration_s")
+        value, _ = numbers.pop(settings.argument_field)
         least, greatest = settings.argument_range
         items = [self.program, "%g" % value if least < greatest else "", self.vehicle]
         items += ["%s=%g" % (name, value) for name, (value, default) in numbers.items() if value != default]
@@ -181,7 +190,6 @@ def parse_fault(text):
             raise ValueError("fault '%s': '%s' is there twice: write %s" % (text, key, _FORM))
         values[key] = value
 
-    argument = "severity" if settings.argument == "severity" else "duration_s"
     for item in filter(None, arguments.split(",")):
         key, equals, value = item.partition("=")
         if equals and key in ("severity", "duration_s"):
@@ -192,11 +200,11 @@ def parse_fault(text):
             known = "severity, duration_s, vehicle, channel, program"
             raise ValueError("fault '%s': no '%s'; there are %s" % (text, key, known))
         elif item in settings.grades:
-            put(argument, settings.grades[item])
+            put(settings.argument_field, settings.grades[item])
         elif item == EVERYONE or re.fullmatch(r"[A-Za-z]\w*", item) and item not in ("inf", "nan"):
             put("program" if settings.on_programs and "program" not in values else "vehicle", item)
         else:
-            put(argument, _number(text, item))
+            put(settings.argument_field, _number(text, item))
     if at:
         values["start_s"] = _number(text, start)
     try:

@@ -51,15 +51,15 @@ def fault_kinds():
         settings = fault_settings(name)
         if settings.on_programs:
             continue
-        by_severity = settings.argument == "severity"
+        defaults = {"severity": settings.default_severity, "duration_s": settings.default.duration_s}
         kinds.append(
             FaultKind(
                 name,
                 settings.summary,
-                "severity" if by_severity else "duration_s",
-                settings.unit if by_severity else "s",
+                settings.argument_field,
+                settings.argument_unit,
                 *settings.argument_range,
-                settings.default_severity if by_severity else settings.default.duration_s,
+                defaults[settings.argument_field],
                 list(settings.grades),
                 list(settings.grades.values()),
                 settings.per_vehicle,
