@@ -29,6 +29,7 @@ from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, wait_
 LOOK_S = 0.2  # how often all is looked at
 SIGN_S = 3.0  # for what was asked for to show
 RECORDER_S = 30.0  # for a recorder to start, to end
+ON_GROUND_S = 15.0  # for all vehicles to say that they stand, once the flight is over
 PUT_BACK_S = 20.0  # for a vehicle to be put back
 JUDGE_S = 300.0  # for the bag of a flight to be judged
 STARTING_S = 120.0  # for all nodes to start
@@ -375,6 +376,7 @@ class Soak:
         problem = self._end_faults()
         if problem:
             raise EndError(invariants.Violation("faults", problem))
+        self._await_landings()
         self._stop_recording(failure)
         charges = self._watch.batteries_pct
         for name in self._vehicles:
@@ -385,6 +387,12 @@ class Soak:
                 self._put_back(name)
                 self.put_back[name] += 1
                 self.record.add("put_back", flight=self.number, vehicle=name, why=why)
+
+    def _await_landings(self):
+        """Of vehicles whose programs had died: the operator could do nothing more, and their ladders land them."""
+        end_s = time.monotonic() + ON_GROUND_S
+        while self._watch.in_flight and time.monotonic() < end_s:
+            self._tick("landing", ", ".join(self._watch.in_flight))
 
     def _end_faults(self):
         """Returns why that does not work; ""."""
