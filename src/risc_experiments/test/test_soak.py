@@ -387,6 +387,7 @@ def test_a_folder_that_is_no_soaks_is_named(tmp_path, capsys):
         (["soon"], "invalid number value: 'soon'"),
         (["1", "--table", "x"], "say how many HOURS"),
         (["1", "--faults", "fire"], "unknown fault 'fire'"),
+        (["1", "--faults", ",,"], "needs at least one name"),
         (["1", "--duration", "6"], "no fault fits"),
         (["1", "--controller", "none"], "--controller: unknown name 'none'"),
         (["1", "--settings", "/nowhere.yaml"], "/nowhere.yaml"),

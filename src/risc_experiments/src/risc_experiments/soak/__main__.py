@@ -52,7 +52,10 @@ def arguments(argv):
 
 
 def _names(text):
-    return tuple(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
+    names = tuple(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
+    if not names:
+        raise argparse.ArgumentTypeError("needs at least one name")
+    return names
 
 
 def flight_of(args, params, error):
