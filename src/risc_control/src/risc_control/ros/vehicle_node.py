@@ -95,7 +95,14 @@ class VehicleNode:
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
-        self._held_until_s = {}  # {vehicle of another node that holds or lands it: how long that counts}
+        # {vehicle of another node: how long it counts that its node holds or lands it}
+        self._held_until_s = (
+            {}
+            if not self._separation.asks
+            else dict.fromkeys(
+                (other.template for other in everybody if other.template not in self._by_name), -math.inf
+            )
+        )
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
             kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
@@ -113,8 +120,8 @@ class VehicleNode:
         rospy.on_shutdown(self._on_shutdown)
         for vehicle in self._vehicles:
             vehicle.listen()
-        for other in everybody if self._separation.asks else ():
-            if other.template not in self._by_name:
+        for other in everybody:
+            if other.template in self._held_until_s:
                 heard = partial(self._on_safety_of, other.template)
                 rospy.Subscriber("/%s/safety" % other.namespace, Safety, heard, queue_size=1, tcp_nodelay=True)
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
@@ -187,7 +194,7 @@ class VehicleNode:
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             if self._separation.asks:
                 own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
-                self._separation.tell(own | {name for name, s in tuple(self._held_until_s.items()) if now_s < s})
+                self._separation.tell(own | {name for name, s in self._held_until_s.items() if now_s < s})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:
