@@ -1,11 +1,24 @@
 """Whole flights of the whole graph in which something goes wrong, as `./maap fly --fault` makes them."""
 
 import math
+import os
+import signal
+import subprocess
+import threading
+import time
+from dataclasses import replace
 
 import pytest
-from flying import fly
+import yaml
+from flying import ROOT, fly
 
+from risc_experiments.programs import find
+from risc_lab.lab import load_fleet
+from risc_lab.ros.launching import MARK, Launch, PortReservation, end_processes, free_tcp_port
 from risc_simulator.faults import REGISTRY, fault_settings
+from risc_simulator.models.flight import FlightPhase
+from risc_simulator.socket_host import Told
+from risc_simulator.virtual_lab import VirtualLab
 
 pytestmark = pytest.mark.alone
 SHORT = ("--vehicles", "1", "--duration", "8", "--mocap-rate", "100")
@@ -18,13 +31,18 @@ def flown(folder, *faults, options=SHORT):
     return code, output, summary
 
 
-def test_a_short_blackout_of_motion_capture_is_flown_through_and_a_long_one_lands_it(tmp_path):
-    code, output, summary = flown(tmp_path, "mocap_blackout:0.3@2", "mocap_blackout:3@6")
+def test_a_flight_goes_on_after_short_faults_and_without_a_master_and_a_long_blackout_lands_it(tmp_path):
+    faults = "mocap_blackout:0.3@2", "node_kill:master@4", "node_stop:controller,0.2@4.5", "mocap_blackout:3@6"
+    code, output, summary = flown(tmp_path, *faults)
     assert code == 0, output
-    (short, long), page = summary["faults"], (tmp_path / "report.html").read_text(encoding="utf-8")
+    (short, master, hang, long), page = summary["faults"], (tmp_path / "report.html").read_text(encoding="utf-8")
     assert (short["name"], short["args"], short["outcome"]) == ("mocap_blackout", "0.3", "completed"), output
     assert short["start_s"] == pytest.approx(2.0, abs=1.0) and short["end_s"] - short["start_s"] == pytest.approx(0.3)
     assert short["reaction_ms"] > 50.0, "states may be 100 ms old, by their exposure"
+    assert (master["name"], master["args"], master["outcome"]) == ("node_kill", "master", "completed"), output
+    assert master["start_s"] == pytest.approx(4.0, abs=1.0) and not master["reactions_ms"], "nobody needs it in flight"
+    assert (hang["args"], hang["outcome"]) == ("controller,0.2", "completed"), output
+    assert hang["end_s"] - hang["start_s"] == pytest.approx(0.2, abs=0.05) and hang["reaction_ms"] > 50.0
     assert (long["args"], long["outcome"], long["safe"]) == ("3", "landed", True), output
     mocap = summary["mocap"]
     assert mocap["frames_sent"] - mocap["frames_received"] > 200, "no way round it: single frames are none either"
@@ -39,7 +57,8 @@ def test_a_flight_with_a_short_blackout_ends_at_home(tmp_path):
 
 A_FLIGHT = 4  # faults
 APART_S, LASTS_S = 6.0, 2.0
-GROUPS = [REGISTRY.names()[k : k + A_FLIGHT] for k in range(0, len(REGISTRY.names()), A_FLIGHT)]
+NAMES = [name for name in REGISTRY.names() if not fault_settings(name).on_programs]
+GROUPS = [NAMES[k : k + A_FLIGHT] for k in range(0, len(NAMES), A_FLIGHT)]
 
 
 def event(name, k):
@@ -63,3 +82,140 @@ def test_every_fault_ends_safe(tmp_path, names):
     assert code == 0, output
     assert [fault["name"] for fault in summary["faults"]] == list(names)[: len(summary["faults"])] != []
     assert all(fault["safe"] for fault in summary["faults"])
+
+
+PROGRAMS = (
+    "mocap_client",
+    "states_estimation",
+    "controller",
+    "trajectory",
+    "vehicle_node",
+    "driver",
+    "joystick",
+    "master",
+)
+THREE = ("--vehicles", "3", "--duration", "12", "--mocap-rate", "100")
+
+
+def ends_safe(folder, *faults):
+    """Fly three with faults. Returns them, in the order of their begins; those after a landing never begin."""
+    code, output, summary = flown(folder, *faults, options=THREE)
+    assert code == 0, output
+    found = summary["faults"]
+    assert ["%s:%s" % (fault["name"], fault["args"]) for fault in found] == [
+        text.partition("@")[0] for text in faults[: len(found)]
+    ]
+    assert found and all(fault["safe"] for fault in found), output
+    return found
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_program_that_hangs_for_a_moment_and_then_dies_ends_safe(tmp_path, program):
+    hang, *dead = ends_safe(tmp_path, "node_stop:%s,0.2@2" % program, "node_kill:%s@6" % program)
+    if program == "master":
+        assert [fault["outcome"] for fault in (hang, *dead)] == ["completed", "completed"]
+    else:
+        assert all(fault["outcome"] == "landed" for fault in dead) or program == "mocap_client"
+        assert len(dead) == 1 or hang["outcome"] == "landed"
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("duration", ["3", "inf"])
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_program_that_hangs_for_long_ends_safe(tmp_path, program, duration):
+    (hang,) = ends_safe(tmp_path, "node_stop:%s,%s@3" % (program, duration))
+    assert hang["outcome"] == ("completed" if program == "master" else "landed")
+
+
+@pytest.mark.release
+def test_the_recorder_may_hang_but_not_die_and_who_is_not_there_is_named(tmp_path):
+    (hang,) = ends_safe(tmp_path / "hang", "node_stop:recorder,2@3")
+    assert hang["outcome"] == "completed"
+    for name, fault, cause in (
+        ("die", "node_kill:recorder", "flights are judged by what is recorded"),
+        ("none", "node_kill:autopilot", "no program 'autopilot' is part of this flight; there are mocap_client,"),
+        ("vehicle", "node_kill:driver,risc9", "no vehicle 'risc9'; there are risc1, risc2, risc3"),
+    ):
+        code, output, _ = flown(tmp_path / name, fault, options=THREE)
+        assert code == 1 and cause in output.splitlines()[-1], output
+
+
+IDENTITY = "a flight of test_fault_flights"
+LIMIT_S = 120.0
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """A virtual lab of three that no launch file owns, and the arguments of one that flies them."""
+    reservation = PortReservation()
+    fleet = load_fleet(ROOT / "launch" / "fleets" / "ardrones3.yaml").in_subnet(reservation.subnet)
+    fleet = replace(fleet, mocap=replace(fleet.mocap, rate_hz=100.0))
+    path = tmp_path / "fleet.yaml"
+    path.write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False))
+    lab, stop = VirtualLab(load_fleet(path), seed=1), threading.Event()
+    lab.launch_arguments = {"lab": "false", "fleet": path, "rate": 100, "duration": 300}
+    runner = threading.Thread(target=lab.run, args=(stop,), daemon=True)
+    runner.start()
+    yield lab
+    stop.set()
+    runner.join()
+    lab.close()
+    reservation.close()
+
+
+def wait_for(condition):
+    deadline_s = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+
+
+def all_told(lab, told):
+    return all(host.told is told for host in lab.vehicle_hosts.values())
+
+
+def all_landed(lab):
+    return all(vehicle.phase is FlightPhase.LANDED for vehicle in lab.world.vehicles.values())
+
+
+@pytest.mark.release
+def test_a_roslaunch_that_owns_the_master_lands_all_vehicles_when_that_dies(lab, tmp_path):
+    port = free_tcp_port()
+    environment = dict(
+        os.environ, ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1", ROS_HOME=str(tmp_path)
+    )
+    words = ["%s:=%s" % item for item in lab.launch_arguments.items()]
+    command = ["roslaunch", "-p", str(port), str(ROOT / "launch" / "circles3.launch"), *words]
+    with (tmp_path / "roslaunch.log").open("wb") as log:
+        launch = subprocess.Popen(
+            command, env=dict(environment, **{MARK: IDENTITY}), stdout=log, stderr=log, start_new_session=True
+        )
+    try:
+        wait_for(lambda: all_told(lab, Told.FLY))
+        find(IDENTITY, "master").kill()
+        wait_for(lambda: all_told(lab, Told.LAND) and all_landed(lab))
+        wait_for(lambda: launch.poll() is not None)
+        assert not lab.world.crashes
+    finally:
+        launch.send_signal(signal.SIGINT)
+        launch.wait(LIMIT_S)
+        end_processes(IDENTITY)
+
+
+@pytest.mark.release
+def test_beside_a_roscore_of_its_own_the_fleet_flies_on_and_lands_when_roslaunch_ends(lab, tmp_path):
+    port = free_tcp_port()
+    launch = Launch(ROOT / "launch" / "circles3.launch", lab.launch_arguments, tmp_path, port)
+    try:
+        wait_for(lambda: all_told(lab, Told.FLY))
+        find(launch.identity, "master").kill()
+        until_s = lab.world.time_s + 10.0
+        while lab.world.time_s < until_s:
+            assert all_told(lab, Told.FLY) and launch.running()
+            time.sleep(0.05)
+    finally:
+        killed = launch.stop()
+    assert not killed
+    wait_for(lambda: all_landed(lab))
+    assert not lab.world.crashes

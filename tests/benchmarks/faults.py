@@ -2,7 +2,9 @@
 level, by the clock of the computer that flies.
 
 A flight has as many events of one fault as fit, at seeded times; every vehicle counts. When vehicles have landed the
-next flight goes on. "none" are vehicles whose ladder had no reason to leave its level.
+next flight goes on. Vehicles whose ladder had no reason to leave its level have no reaction.
+--programs: the programs of a flight killed, and stopped for a short and for a long time. What counts of those between
+the ladder and the vehicle is what the vehicle hears: hover, or land.
 """
 
 import argparse
@@ -10,6 +12,7 @@ import datetime
 import json
 import math
 import pathlib
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -23,16 +26,22 @@ from risc_simulator.faults import parse_fault
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FAULTS = ("mocap_blackout:0.3",)
+PROGRAMS = ("mocap_client", "states_estimation", "controller", "trajectory", "vehicle_node", "driver", "joystick",
+            "master")  # fmt: skip
+OF_PROGRAMS = "node_kill:%s", "node_stop:%s,0.3", "node_stop:%s,3"
+# whose silence the ladder has to notice as soon as that of motion capture
+AS_MOCAP = ("mocap_client", "states_estimation", "controller")
 STATE_HOLD_MS = 120.0  # within which a vehicle has to hold when motion capture is lost, and a period of its commands
 FIRST_S, APART_S, SHIFT_S = 3.0, 3.0, 0.5  # of events: the first one, from one to the next, less or more than that
-MOST_FLIGHTS = 20  # of one fault
+MOST_FLIGHTS = 20  # of one fault, or as many as events are wanted
 
 
 def script(text, count, seed):
     """Content of a file of `count` events of a fault."""
     event, rng = parse_fault(text), np.random.default_rng([seed, count])
     starts_s = FIRST_S + APART_S * np.arange(count) + rng.uniform(-SHIFT_S, SHIFT_S, count)
-    fields = {"fault": event.fault, "vehicle": event.vehicle, "severity": event.severity, "channel": event.channel}
+    names = "fault", "vehicle", "severity", "channel", "program"
+    fields = {name: getattr(event, name) for name in names}
     return {"faults": [dict(fields, duration_s=event.duration_s, start_s=start_s) for start_s in starts_s.tolist()]}
 
 
@@ -53,9 +62,9 @@ def fly(folder, text, seed, args):
 def measure(text, folder, args):
     """Row of a fault: events until there are enough of them."""
     events, passed, late_ms, seed = [], 0, [], 0
-    while len(events) < args.events and seed < MOST_FLIGHTS:
+    while len(events) < args.events and seed < max(MOST_FLIGHTS, args.events):
         seed += 1
-        summary = fly(folder / ("%s_seed%d" % (text.replace(":", "_"), seed)), text, seed, args)
+        summary = fly(folder / ("%s_seed%d" % (re.sub(r"\W", "_", text), seed)), text, seed, args)
         if summary is not None:
             events += summary["faults"]
             passed += summary["passed"]
@@ -75,24 +84,33 @@ def measure(text, folder, args):
     }
 
 
+def is_limited(text):
+    """Whether vehicles have to hold within `limit_ms` of the begin of a fault."""
+    event = parse_fault(text)
+    return event.fault == "mocap_blackout" or event.program in AS_MOCAP
+
+
 def limit_ms():
-    """Within which an AR.Drone has to be sent the command to hold when motion capture is lost."""
+    """Within which an AR.Drone has to be sent the command to hold when states or commands stop."""
     return STATE_HOLD_MS + 1e3 / VehicleNodeParams().rate_hz(load_vehicle_type("ardrone"))
 
 
 def main():
-    """Command line. Returns 1 when an outcome was not safe, or a blackout of motion capture was noticed too late."""
+    """Command line. Returns 1 when an outcome was not safe, or vehicles held too late when states or commands stop."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the rows here, after each one")
     parser.add_argument("--out", type=pathlib.Path, help="folder for the flights (default: flights/faults_DATE)")
     parser.add_argument("--faults", nargs="+", default=FAULTS, metavar="NAME[:ARG]")
+    parser.add_argument("--programs", action="store_true", help="programs that die or hang, instead of --faults")
     parser.add_argument("--events", type=int, default=100, help="of each fault, at least")
     parser.add_argument("--vehicles", type=int, default=3)
     parser.add_argument("--duration", type=float, default=110.0, help="[s] on the course")
     parser.add_argument("--mocap-rate", type=float, default=200.0, help="[Hz]")
     args = parser.parse_args()
+    if args.programs:
+        args.faults = [text % program for program in PROGRAMS for text in OF_PROGRAMS]
     out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("faults_%Y%m%d-%H%M%S")
-    print("%d vehicles, perturbed plant (simulated); a blackout of motion capture: p99 at most %.0f ms"
+    print("%d vehicles, perturbed plant (simulated); states or commands stop: p99 at most %.0f ms"
           % (args.vehicles, limit_ms()))  # fmt: skip
     print("%-28s %7s %7s %9s %9s %9s %9s  %s"
           % ("fault", "flights", "events", "reactions", "p50", "p99", "max", "outcomes"), flush=True)  # fmt: skip
@@ -108,7 +126,7 @@ def main():
                  row["lab_late_p99_ms"] or math.nan), flush=True)  # fmt: skip
         if args.json:
             args.json.write_text(json.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
-    late = [row for row in rows if row["fault"].startswith("mocap_blackout") and (row["p99_ms"] or 0.0) > limit_ms()]
+    late = [row for row in rows if is_limited(row["fault"]) and (row["p99_ms"] or 0.0) > limit_ms()]
     return 1 if late or any(row["unsafe"] or row["passed"] < row["flights"] for row in rows) else 0
 
 

@@ -1,5 +1,5 @@
-/* Preloaded into a program, this lets every write at a place of a file take BAD_DISK_SLEEP_MS, and fail with an
-   input/output error once BAD_DISK_WRITES have been made (0: never). */
+/* Preloaded into a program, this lets every write at a place of a file wait while there is a file BAD_DISK_WHILE, and
+   fail with an input/output error once BAD_DISK_WRITES have been made (0: never). */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -17,7 +17,8 @@ ssize_t pwrite(int file, const void *bytes, size_t size, off_t position) {
   static long writes;
   if (!real) real = (ssize_t(*)(int, const void *, size_t, off_t))dlsym(RTLD_NEXT, "pwrite");
   const long most = number_of("BAD_DISK_WRITES");
-  usleep(1000 * number_of("BAD_DISK_SLEEP_MS"));
+  const char *gate = getenv("BAD_DISK_WHILE");
+  while (gate && access(gate, F_OK) == 0) usleep(1000);
   if (most && writes++ >= most) {
     errno = EIO;
     return -1;

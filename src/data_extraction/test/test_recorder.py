@@ -6,6 +6,7 @@ import io
 import json
 import os
 import pathlib
+import re
 import resource
 import signal
 import socket
@@ -105,11 +106,22 @@ def finish(recorder, number=signal.SIGINT):
     return recorder.returncode, output
 
 
+def written(path):
+    """Bytes of the bag that is being written."""
+    active = pathlib.Path(str(path) + ".active")
+    return active.read_bytes() if active.exists() else b""
+
+
 def in_writing(path, *wanted):
     """Whether the bag that is being written holds these."""
-    active = pathlib.Path(str(path) + ".active")
-    content = active.read_bytes() if active.exists() else b""
+    content = written(path)
     return all(text.encode() in content for text in wanted)
+
+
+def counts(path):
+    """{messages recorded and not, together} of all recorders' diagnostics in the bag that is being written."""
+    values = list(map(int, re.findall(rb"messages (?:not )?recorded.{4}(\d+)", written(path), re.DOTALL)))
+    return set(map(sum, zip(values[::2], values[1::2])))
 
 
 def wait_for(path, *wanted):
@@ -345,11 +357,14 @@ def test_a_clock_that_is_set_back_stops_nothing(lab):
 def test_what_waits_for_a_slow_disk_is_bounded_and_what_is_left_out_is_counted(lab):
     """Small messages, of which what is around the text takes more room than the text."""
     count = 40000
-    path, told = lab.folder / "flight.bag", lab.folder / "told.bag"
-    recorder = lab.recorder("-b", "1", "-O", str(path), "/a", disk={"BAD_DISK_SLEEP_MS": "1000"})
+    path, told, stuck = lab.folder / "flight.bag", lab.folder / "told.bag", lab.folder / "stuck"
+    recorder = lab.recorder("-b", "1", "-O", str(path), "/a", disk={"BAD_DISK_WHILE": str(stuck)})
     listener = lab.recorder("-O", str(told), "/diagnostics")
+    wait_for(told, str(path))  # all was well
+    stuck.touch()
     lab.talker()({"/a": STRING}, count, hz=1e6)
-    time.sleep(2.0)  # diagnostics come once a second
+    wait_until(lambda: count in counts(told), "all messages to be counted")
+    stuck.unlink()
     code, output = finish(recorder)
     assert code == 1 and finish(listener)[0] == 0
     have = texts(path, "/a")

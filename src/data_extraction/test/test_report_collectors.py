@@ -46,6 +46,7 @@ from risc_maap_msgs.msg import (
     OperatorState,
     PpmStatus,
     Safety,
+    Told,
     TrajectoryPhases,
     VehicleNodeStatus,
     VehicleOut,
@@ -640,6 +641,41 @@ def test_the_reaction_is_the_first_command_of_a_higher_level(play):
     assert (outcome.outcome, outcome.is_safe) == ("completed", True), "it flew on"
     assert outcome.reactions_s == pytest.approx({"risc1": 0.12, "risc2": 0.15}, abs=1e-6)
     assert outcome.reaction_s == pytest.approx(0.12, abs=1e-6)
+
+
+def heard(t_s, order, vehicle="risc1"):
+    message = Told(vehicle=vehicle, order=order)
+    message.header.stamp = at(t_s)
+    return "/virtual_lab/told", message, T0_S + t_s
+
+
+def test_so_is_the_first_order_to_hover_or_to_land_that_the_vehicle_hears(play):
+    """Of who is between the ladder and the vehicle, when the ladder's program has died."""
+    faults = flown(
+        play,
+        heard(0.5, Told.LAND),
+        heard(0.6, Told.HOVER),
+        heard(1.5, Told.FLY),
+        ("/program_faults", Faults(faults=[fault(1, 3.0, name="node_kill", args="driver")]), T0_S + 3.0),
+        heard(3.02, Told.HOVER),
+        heard(3.1, Told.HOVER, "risc2"),
+        sent(3.3, Safety.LAND),
+        heard(3.4, Told.LAND),
+        heard(20.5, Told.HOVER, "risc3"),  # the operator lands them
+    )
+    assert faults.outcomes[0].reactions_s == pytest.approx({"risc1": 0.02, "risc2": 0.1}, abs=1e-6)
+
+
+def test_faults_of_the_lab_and_of_programs_have_numbers_of_their_own(play):
+    killed = fault(1, 6.0, lasts_s=2.0, name="node_kill", args="controller", vehicle="")
+    faults = flown(
+        play,
+        told(fault(1, 3.0), t_s=3.0),
+        ("/program_faults", Faults(faults=[killed]), T0_S + 6.0),
+        truth(15.0, z=0.05),
+    )
+    assert [outcome.text for outcome in faults.outcomes] == ["jump:0.3,risc1", "node_kill:controller"]
+    assert faults.outcomes[1].is_of("risc2") and faults.waiting == 0
 
 
 def test_each_fault_answers_for_what_happens_until_the_next(play):

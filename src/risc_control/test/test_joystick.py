@@ -41,6 +41,15 @@ def test_first_message_can_be_a_press():
     assert Joystick(JoystickParams()).update(buttons(2), axes()).pressed == {Button.EMERGENCY}
 
 
+def test_what_is_down_when_a_node_begins_to_listen_was_pressed_before():
+    """It may have been started again while somebody holds the button."""
+    joystick = Joystick(JoystickParams(), listens_since_s=100.0)
+    first = joystick.update(buttons(6), axes(), now_s=100.3)
+    assert (first.pressed, first.belated) == (frozenset(), {Button.TAKEOFF_LAND})
+    assert joystick.update(buttons(2, 6), axes(), now_s=100.4).pressed == {Button.EMERGENCY}
+    assert Joystick(JoystickParams(), 100.0).update(buttons(2), axes(), now_s=105.0).pressed == {Button.EMERGENCY}
+
+
 def test_what_goes_down_in_late_messages_is_belated_once_in_time():
     joystick = Joystick(JoystickParams())
     joystick.update(buttons(6), axes(), age_s=0.4)

@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
 """The virtual operator: flies an experiment by pressing buttons of virtual joysticks; see risc_experiments.operator."""
 
+import contextlib
 import threading
 import time
+import xmlrpc.client
 from functools import partial
 
 import rospy
@@ -12,7 +14,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.vehicles import adapter_class
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
-from risc_lab.phases import OperatorResult, TrajectoryPhase
+from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
@@ -24,6 +26,7 @@ from risc_maap_msgs.msg import OperatorState, Safety, TakeoffRefusals, Trajector
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
 SERVICE_TIMEOUT_S = 5.0
+_FLIES = "~flies"  # remembered by the master, for an operator that is started again because this one died in flight
 
 
 class VirtualOperator:
@@ -37,9 +40,12 @@ class VirtualOperator:
         flown = vehicles()
         wanted = [vehicle.namespace for vehicle in flown]
         self._go_home = rospy.get_param("~trajectory_node", "/trajectory_node") + "/go_home"
+        self._home = rospy.ServiceProxy(self._go_home, Trigger, persistent=True)
         self._lock = threading.Lock()
         go_home = partial(start, self._call_home)
-        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing)
+        again = rospy.get_param(_FLIES, False)
+        self._flies = False  # as the master was told
+        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing, again)
         self._watched = {vehicle.template: self._operator.vehicles[vehicle.namespace] for vehicle in flown}
         self._landing = set()  # vehicles whose service is being called
         self._said = None  # the newest state that was sent, as `_state` gives it
@@ -64,6 +70,8 @@ class VirtualOperator:
             "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
         )
         paced("/cortex_raw", CortexArrays, self._locked(self._on_states))
+        rospy.on_shutdown(partial(self._remember, False))
+        start(self._connect_home)
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
 
@@ -129,6 +137,10 @@ class VirtualOperator:
         """Publish it when it is new; the caller holds the lock, so that no older one follows."""
         if state == self._said:
             return
+        flies = state[0] != OperatorPhase.WAITING and state[2] == OperatorResult.RUNNING
+        if flies != self._flies:
+            self._flies = flies
+            start(self._remember, flies)
         self._said, before = state, self._said
         self._phase.publish(state_message(state))
         rospy.loginfo("operator: phase %s", self._operator.phase_text)
@@ -138,15 +150,33 @@ class VirtualOperator:
             rospy.loginfo("operator: result %s", ": ".join(filter(None, (result.name.lower(), reason))))
 
     @staticmethod
+    def _remember(flies):
+        with contextlib.suppress(OSError, rospy.ROSException, xmlrpc.client.Error):  # there is no master
+            rospy.set_param(_FLIES, flies)
+
+    @staticmethod
     def _call(service):
         """(whether it is done, what it says) of a service to trigger. Raises ROSException or ServiceException."""
         rospy.wait_for_service(service, SERVICE_TIMEOUT_S)
         answer = rospy.ServiceProxy(service, Trigger)()
         return answer.success, answer.message
 
+    def _connect_home(self):
+        """Ask once while all stand, when nobody obeys: then the connection is there, whatever becomes of the master."""
+        with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
+            rospy.wait_for_service(self._go_home, SERVICE_TIMEOUT_S)
+            with self._lock:
+                waits = self._operator.phase == OperatorPhase.WAITING
+            if waits:
+                self._home()
+
     def _call_home(self):
         try:
-            done, said = self._call(self._go_home)
+            try:
+                answer = self._home()
+                done, said = answer.success, answer.message
+            except rospy.ServiceException:  # it was started again
+                done, said = self._call(self._go_home)
             problem = "" if done else said or "refused"
         except (rospy.ROSException, rospy.ServiceException) as error:
             problem = "%s (%s)" % (self._go_home, error)

@@ -31,7 +31,8 @@ LANDING = (  # (fault, types): vehicles that cannot go on
     *[(fault, ("ardrone",)) for fault in ("nan_markers:3", "garbage:3", "battery_failing:30", "host_restart:3")],
     *[(fault, ("iris",)) for fault in ("battery_low:8", "link_blackhole:5", "wrong_axes:0.5")],
 )
-NOT_OFFLINE = {"cut", "wrong_reply"}  # of connections and answers, which offline flights have not
+# of connections, answers and programs, which offline flights have not
+NOT_OFFLINE = {"cut", "wrong_reply", "node_kill", "node_stop"}
 
 
 def flown(faults, types, seed=1):
@@ -44,6 +45,11 @@ def test_each_fault_is_in_a_flight():
     named = [parse_fault(text).fault for faults in PASSING.values() for text in faults.split()]
     named += [parse_fault(text).fault for text, _ in LANDING]
     assert set(REGISTRY.names()) - NOT_OFFLINE - set(named) == {"motor_loss"}
+
+
+def test_faults_on_programs_are_refused():
+    with pytest.raises(ValueError, match=r"node_kill acts on programs .*: only ./maap fly"):
+        flown(["node_kill:controller@1"], ("ardrone",))
 
 
 @pytest.mark.parametrize("kind", ["ardrone", "iris"])

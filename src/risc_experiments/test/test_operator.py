@@ -189,6 +189,34 @@ def test_waits_says_for_what_and_gives_up(spoil, text):
         assert TAKEOFF_LAND not in [button for _, button in vehicle.presses] or vehicle is flight.vehicles["risc2"]
 
 
+def test_an_operator_that_is_started_again_in_flight_lands_all():
+    """It does not wait for them to stand, and then take off again."""
+    flight = Flight(3).on_course()
+    flight.vehicles["risc2"].safety = (FailsafeLevel.LAND, "joystick silent")
+    flight.vehicles["risc3"].state = FlightState.LANDED
+    flight.vehicles["risc2"].land(flight.now_s - 2.0)  # it stands before the operator has listened for long enough
+    params = OperatorParams(duration=10.0)
+    flight.operator = Operator(list(flight.vehicles), params, flight.now_s, flight.go_home, flight.landings.append)
+    flight.phases.clear()
+    flight.finish()
+    assert flight.phases == [Phase.WAITING, Phase.LAND, Phase.ABORTED] and not flight.operator.flight_failed
+    assert {name: cause for name, cause, _ in flight.operator.out} == {"risc1": OutCause.MANUAL}
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+    assert flight.vehicles["risc3"].count(TAKEOFF_LAND) == 1, "the take-off of before"
+
+
+def test_an_operator_that_is_started_again_takes_nobody_off_again():
+    """Also when the ladder has landed all before it could look."""
+    flight = Flight()
+    params = OperatorParams(duration=10.0)
+    arguments = list(flight.vehicles), params, flight.now_s, flight.go_home, flight.landings.append
+    flight.operator = Operator(*arguments, started_again=True)
+    flight.finish()
+    assert flight.phases == [Phase.WAITING, Phase.LAND, Phase.ABORTED]
+    assert flight.operator.reason == "the operator was started in flight" and not flight.operator.out
+    assert not any(vehicle.presses for vehicle in flight.vehicles.values())
+
+
 def test_starts_when_the_last_one_is_ready():
     flight = Flight()
     flight.vehicles["risc3"].seen = False

@@ -207,7 +207,7 @@ def test_a_mistake_on_the_command_line_is_named(tmp_path, capsys, options, words
 def test_it_is_said_when_two_were_flown_under_other_conditions():
     card = card_of({CELL: {1: flown(0.01)}})
     other = card | {"ladder": False, "settings": card["settings"] | {"flight_s": 30.0}}
-    assert output.differing_conditions(card, card) == []
+    assert output.differing_conditions(card, json.loads(json.dumps(card))) == []
     assert output.differing_conditions(card, other) == ["ladder", "flight_s"]
     card["against"] = {"file": "other.json", "conditions": ["ladder", "flight_s"], "differences": []}
     text = page.render("scorecard.html", package_file("risc_experiments", "templates"), **output.page_values(card))
@@ -224,7 +224,7 @@ def test_the_page_has_the_style_of_the_reports():
 def card_of(flights_of):
     """A scorecard of flights that were not flown."""
     rows = [row_of(cell, flights) for cell, flights in flights_of.items()]
-    settings = {"trajectories": ["circle"], "vehicles": 3, "flight_s": 60.0}
+    settings = {"trajectories": ("circle",), "vehicles": 3, "flight_s": 60.0}
     words = {"date": "today", "command": "./maap scorecard", "revision": None, "settings": settings}
     card = {"simulated": True, "complete": True, "ladder": True, "rows": rows, "totals": totals_of(rows)}
     return card | words | {"findings": [], "failures": []}

@@ -39,8 +39,9 @@ def test_a_member_says_what_people_need_and_its_default_can_happen(name):
     assert set(settings.grades) in (set(), {"mild", "medium", "severe"})
     values = [settings.grades[grade] for grade in ("mild", "medium", "severe") if settings.grades]
     assert values in (sorted(values), sorted(values, reverse=True))
-    event = FaultEvent(name)
-    assert parse_fault("%s:%s" % (name, event.args)) == event == parse_fault(name)
+    program = "controller" if settings.on_programs else ""
+    event = FaultEvent(name, program=program)
+    assert parse_fault("%s:%s" % (name, event.args)) == event == parse_fault("%s:%s" % (name, program))
 
 
 @pytest.mark.parametrize("severity", [0.0, 0.2, 0.7, 1.0])
@@ -195,6 +196,9 @@ def test_impossible_faults_are_refused(fields, message):
         ("drop:severity=0.1,duration_s=2@4", FaultEvent("drop", "", 0.1, 2.0, 4.0)),
         ("drop:0.3,channel=risc1/*", FaultEvent("drop", severity=0.3, channel="risc1/*")),
         ("drop:0.3,duration_s=inf", FaultEvent("drop", severity=0.3)),
+        ("node_kill:states_estimation@5", FaultEvent("node_kill", program="states_estimation", start_s=5.0)),
+        ("node_stop:driver,risc2,0.3", FaultEvent("node_stop", "risc2", duration_s=0.3, program="driver")),
+        ("node_stop:program=controller,inf", FaultEvent("node_stop", duration_s=np.inf, program="controller")),
     ],
 )
 def test_a_fault_is_read_from_the_command_line_and_written_as_there(text, event):
@@ -213,7 +217,12 @@ def test_a_fault_is_read_from_the_command_line_and_written_as_there(text, event)
         ("jump:9", r"severity must be in \[0, 5\], found 9"),
         ("jump:0.3,0.4", "'severity' is there twice"),
         ("jump:risc1,risc2", "'vehicle' is there twice"),
-        ("jump:0.3,height=2", "no 'height'; there are severity, duration_s, vehicle, channel"),
+        ("jump:0.3,height=2", "no 'height'; there are severity, duration_s, vehicle, channel, program"),
+        ("jump:program=controller", "acts on no program: leave 'controller' out"),
+        ("node_kill", "node_kill: which program"),
+        ("node_stop:3", "node_stop: which program"),
+        ("node_kill:controller,risc1,risc2", "'vehicle' is there twice"),
+        ("node_kill:controller,3", r"duration_s must be in \[0, 0\], found 3"),
         ("jump:duration_s=-1", "duration_s"),
         ("jump@soon", "'soon' is no number"),
         ("jump@", "'' is no number"),

@@ -17,7 +17,7 @@ LEFT = Sticks(1, -0.5, 0.0, 0.0, 0.0)
 class Bench:
     """A link, a clock that only moves when told, and a vehicle that answers every 5 ms."""
 
-    def __init__(self, settle_s=0.0, command_timeout_s=0.0, writes=WRITES):
+    def __init__(self, settle_s=0.0, command_timeout_s=0.0, writes=WRITES, land_timeout_s=0.0):
         self.now_s = 100.0
         self.commands = []  # (time, AtCommand) that left the link
         self.datagrams = []  # times
@@ -30,6 +30,7 @@ class Bench:
             "0badcafe",
             settle_s=settle_s,
             command_timeout_s=command_timeout_s,
+            land_timeout_s=land_timeout_s,
             report=lambda *item: self.reports.append(item),
         )
         self.power_on()
@@ -564,3 +565,98 @@ def test_nobody_gets_last_orders_who_never_answered():
     bench = Bench()
     bench.link.send_last_orders()
     assert not bench.datagrams
+
+
+# --- programs that die or hang ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "bits, control_state, kept",
+    [
+        (State.FLYING, ControlState.FLYING, True),
+        (State.FLYING, ControlState.HOVERING, True),
+        (State.FLYING | State.BOOTSTRAP, ControlState.DEFAULT, True),  # its connection was lost meanwhile
+        (State.FLYING, ControlState.LANDING, False),
+        (0, ControlState.LANDED, False),
+        (State.FLYING | State.EMERGENCY, ControlState.FLYING, False),
+    ],
+)
+def test_a_driver_that_finds_its_vehicle_in_flight_keeps_it_there(bits, control_state, kept):
+    bench = Bench(command_timeout_s=0.5)
+    bench.bits, bench.control_state = int(bits), control_state
+    bench.run(0.3)
+    assert {bool(command.arguments[0] & at.Ref.START) for command in bench.names("REF")} == {kept}
+    assert {Sticks(*command.arguments[:5]) for command in bench.names("PCMD_MAG")} == {HOVER}
+    assert bool(bench.texts("warn")) == kept
+    bench.order(bench.link.land)
+    bench.run(0.1)
+    assert not bench.ref & at.Ref.START
+
+
+def test_one_that_comes_back_after_a_loss_is_not_kept_in_the_air(bench):
+    bench.order(bench.link.take_off)
+    bench.bits |= State.FLYING
+    bench.control_state = ControlState.FLYING
+    bench.run(0.2)
+    bench.speaks = False
+    bench.run(2.5)
+    bench.speaks = True
+    bench.run(0.5)
+    assert bench.link.phase is Phase.READY and not bench.ref & at.Ref.START
+
+
+def test_a_vehicle_whose_commands_have_stopped_hovers_and_then_lands():
+    bench = Bench(command_timeout_s=0.2, land_timeout_s=4.0)
+    bench.run(0.5)
+    bench.order(bench.link.steer, FORWARD)  # before it flies: no reason to land it when it has just taken off
+    bench.run(5.0)
+    bench.order(bench.link.take_off)
+    bench.bits, bench.control_state = bench.bits | State.FLYING, ControlState.TAKING_OFF
+    bench.run(5.0)
+    bench.control_state = ControlState.HOVERING
+    bench.run(3.5)
+    assert bench.ref & at.Ref.START
+    bench.order(bench.link.steer, FORWARD)
+    bench.run(3.9)
+    assert bench.ref & at.Ref.START and bench.sticks == HOVER
+    bench.run(0.2)
+    assert not bench.ref & at.Ref.START and "no cmd_vel for 4.0 s: landing" in bench.texts("warn")
+
+
+def test_without_that_time_out_nobody_is_landed():
+    bench = Bench(command_timeout_s=0.2)
+    bench.run(0.5)
+    bench.order(bench.link.take_off)
+    bench.bits, bench.control_state = bench.bits | State.FLYING, ControlState.HOVERING
+    bench.order(bench.link.steer, FORWARD)
+    bench.run(20.0)
+    assert bench.ref & at.Ref.START
+
+
+def test_who_was_never_steered_is_not_landed():
+    """By a take-off from a command line."""
+    bench = Bench(land_timeout_s=4.0)
+    bench.run(0.5)
+    bench.order(bench.link.take_off)
+    bench.bits, bench.control_state = bench.bits | State.FLYING, ControlState.HOVERING
+    bench.run(20.0)
+    assert bench.ref & at.Ref.START
+
+
+@pytest.mark.parametrize("duration_s, deaf", [(0.4, False), (3.0, True)])
+def test_orders_that_came_while_the_driver_stood_still_are_old(bench, duration_s, deaf):
+    bench.now_s += duration_s
+    bench.link.stood_still(duration_s, bench.now_s)
+    bench.order(bench.link.take_off)
+    bench.order(bench.link.steer, FORWARD)
+    bench.run(0.1)
+    assert bool(bench.ref & at.Ref.START) == (not deaf)
+    assert bench.sticks == (HOVER if deaf else FORWARD)
+    assert bool([text for text in bench.texts("warn") if "stood still for 3.0 s, and the order" in text]) == deaf
+    bench.run(0.4)
+    bench.order(bench.link.take_off)
+    bench.order(bench.link.steer, FORWARD)
+    bench.run(0.1)
+    assert bench.ref & at.Ref.START and bench.sticks == FORWARD
+    bench.link.stood_still(3.0, bench.now_s)
+    bench.order(bench.link.land)
+    bench.run(0.1)
+    assert not bench.ref & at.Ref.START

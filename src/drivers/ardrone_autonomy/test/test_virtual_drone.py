@@ -1,8 +1,13 @@
 """Link and thread against the virtual lab's aircraft: physics, radio delay, the vehicle's own rules."""
 
+import os
+import signal
+import subprocess
+import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 
 pytest.importorskip("risc_simulator.virtual_lab", reason="the virtual lab is not in this workspace")
@@ -16,6 +21,7 @@ from ardrone_autonomy.udp import UdpThread
 from risc_lab.lab import load_fleet
 from risc_simulator.faults import parse_fault
 from risc_simulator.models.flight import FlightPhase
+from risc_simulator.socket_host import Told
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import REST_HEIGHT_M
 
@@ -131,3 +137,100 @@ def test_flight_emergency_and_lost_link(lab, thread):
     thread.post(thread.link.land)
     wait_for(lambda: vehicle.phase is FlightPhase.LANDED)
     assert host.statistics()["at_malformed"] == host.statistics()["at_unknown"] == 0
+
+
+# A driver that obeys orders on its standard input, and steers for ever. Arguments: address, whether it has a keeper
+PILOT = """
+import sys, threading, time
+from ardrone_autonomy.keeper import Keeper
+from ardrone_autonomy.piloting import Sticks
+from ardrone_autonomy.settings import setup_writes, wanted_texts
+from ardrone_autonomy.udp import UdpThread
+
+address, kept = sys.argv[1:]
+keeper = Keeper([address]) if kept == "True" else None
+
+def note(now_s, link):
+    if keeper is not None:
+        keeper.note(0, now_s, link.connections > 0, link.keeps_flying)
+
+writes = setup_writes(wanted_texts({"outdoor": 1, "euler_angle_max": 0.3, "enemy_colors": 3}), "0badcafe")
+ends = lambda *_: None
+thread = UdpThread(address, ends, ends, ends, note, setup_writes=writes, session_id="0badcafe", settle_s=0.0)
+thread.start()
+for line in sys.stdin:
+    if line.strip() == "take off":
+        thread.post(thread.link.take_off)
+    while line.strip() == "steer":
+        thread.post(thread.link.steer, Sticks(1, 0.0, -0.15, 0.0, 0.0))
+        time.sleep(0.03)
+"""
+
+
+@pytest.fixture
+def pilot(lab):
+    """Function that starts a driver, and returns its process when its vehicle flies at 0.4 m/s and accelerates."""
+    started = []
+
+    def start(kept=True):
+        words = [sys.executable, "-c", PILOT, lab.fleet.vehicles[0].address, str(kept)]
+        process = subprocess.Popen(words, stdin=subprocess.PIPE, text=True)
+        started.append(process)
+        vehicle = lab.world.vehicles["risc1"]
+
+        def take_off():
+            process.stdin.write("take off\n")
+            process.stdin.flush()
+            return vehicle.phase is FlightPhase.HOVERING or time.sleep(0.2)
+
+        wait_for(take_off, 60.0)
+        process.stdin.write("steer\n")
+        process.stdin.flush()
+        wait_for(lambda: speed_m_s(lab) > 0.4)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdin.close()
+
+
+def speed_m_s(lab):
+    return float(np.linalg.norm(lab.world.vehicles["risc1"].state.velocity_m_s[:2]))
+
+
+def speed_after(lab, duration_s):
+    """Of the vehicle, so much later in the lab's own time."""
+    until_s = lab.world.time_s + duration_s
+    wait_for(lambda: lab.world.time_s >= until_s)
+    return speed_m_s(lab)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_vehicle_of_a_driver_that_dies_or_hangs_stops_and_lands(lab, pilot, number):
+    process, vehicle = pilot(), lab.world.vehicles["risc1"]
+    os.kill(process.pid, number)
+    wait_for(lambda: lab.vehicle_hosts["risc1"].told is Told.HOVER)
+    assert speed_after(lab, 1.8) < 0.3
+    wait_for(lambda: vehicle.phase is FlightPhase.LANDED)
+
+
+def test_without_a_keeper_it_flies_on_with_its_last_tilt(lab, pilot):
+    os.kill(pilot(kept=False).pid, signal.SIGKILL)
+    assert speed_after(lab, 1.8) > 0.6 and lab.vehicle_hosts["risc1"].told is Told.FLY
+
+
+def test_a_new_driver_keeps_a_vehicle_in_the_air(lab, pilot):
+    """That of one that was killed: it has no keeper, and the vehicle has hung in the air for longer than it may."""
+    os.kill(pilot(kept=False).pid, signal.SIGKILL)
+    host, vehicle = lab.vehicle_hosts["risc1"], lab.world.vehicles["risc1"]
+    thread = make_thread(lab, {"outdoor": 1, "euler_angle_max": 0.3, "enemy_colors": 3})
+    thread.start()
+    try:
+        wait_for(lambda: thread.link.phase is Phase.READY)
+        assert thread.link.keeps_flying and host.told is Told.HOVER
+        assert speed_after(lab, 3.0) < 0.3 and vehicle.phase in (FlightPhase.HOVERING, FlightPhase.FLYING)
+    finally:
+        thread.stop()
+    wait_for(lambda: vehicle.phase is FlightPhase.LANDED)

@@ -3,9 +3,11 @@
 
 import os
 import pathlib
+import signal
 import struct
 import time
 import unittest
+from xmlrpc.client import ServerProxy
 
 import rospy
 import rostest
@@ -29,6 +31,15 @@ def status_is(level):
         return any("Joystick Driver Status" in status.name and status.level == level for status in array.status)
 
     return fits
+
+
+def hang(duration_s, meanwhile):
+    """Stop the node for a time (SIGSTOP), in which something else is done."""
+    pid = ServerProxy(rospy.get_master().lookupNode("/joy_node")[2]).getPid("/test")[2]
+    os.kill(pid, signal.SIGSTOP)
+    meanwhile()
+    time.sleep(duration_s)
+    os.kill(pid, signal.SIGCONT)
 
 
 class JoyNodeTest(unittest.TestCase):
@@ -65,11 +76,16 @@ class JoyNodeTest(unittest.TestCase):
             self.assertEqual(joy.nth(5).buttons[10], 1, "feedback to a device without rumble must not matter")
             time.sleep(0.1)
             self.assertEqual(len(joy.messages), 5, "without autorepeat only changes are published")
+
+            hang(2.0, lambda: stick.write(record(1, BUTTON, 6) + record(0, BUTTON, 6)))
+            self.assertEqual(joy.nth(6).buttons[6], 0, "a press of the time in which the node hung is old")
+            stick.write(record(1, BUTTON, 3))
+            self.assertEqual((joy.nth(7).buttons[3], len(joy.messages)), (1, 7))
             reports = len(diagnostics.messages)
         diagnostics.wait_for(status_is(2), "status 'not open' after the other end has gone", after=reports)
         with open(str(path), "wb", buffering=0) as stick:  # the node must come back for it
             stick.write(record(1, BUTTON, 0))
-            again = joy.nth(6)
+            again = joy.nth(8)
             self.assertEqual((list(again.buttons), list(again.axes)), ([1], []), "a fresh state after a loss")
 
 

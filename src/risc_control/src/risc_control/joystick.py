@@ -13,6 +13,7 @@ from risc_lab.message_age import MessageAges
 from risc_lab.settings import Count, NotNegative, Positive, Settings
 
 LATE_S = 0.3  # [s] a joystick message older than this when it arrives is no word of the operator of now
+_FIRST_S = 1.0  # after its start a node hears a joystick that repeats what it says
 _CLOCK_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these
 
 
@@ -94,11 +95,12 @@ class ButtonEdges:
 
     A button that is down in the very first message counts as pressed: joy_node publishes on change only, so the first
     message a node sees often *is* the press. What goes down with a late message and is still down in the next one in
-    time is `belated` there, once.
+    time is `belated` there, once; so is what is down in a first message that comes as soon as a node listens, which may
+    have been started again while somebody holds the button.
     """
 
-    def __init__(self, late_s=LATE_S):
-        self._late_s = late_s
+    def __init__(self, late_s=LATE_S, listens_since_s=-math.inf):
+        self._late_s, self._began_s = late_s, listens_since_s
         self._ages = MessageAges(_CLOCK_MEMORY_S)
         self._held = self._belated = frozenset()
 
@@ -109,6 +111,9 @@ class ButtonEdges:
         """
         age_s = self._ages.corrected(age_s, now_s)
         edges = Edges(held, held - self._held, self._belated & held, age_s > self._late_s, age_s)
+        if now_s - self._began_s < _FIRST_S:
+            edges = edges._replace(pressed=frozenset(), belated=held)
+        self._began_s = -math.inf  # that was the first
         self._held, self._belated = held, edges.belated | edges.pressed if edges.late else frozenset()
         return edges
 
@@ -116,10 +121,10 @@ class ButtonEdges:
 class Joystick:
     """One joystick: the edges of its buttons, and its sticks in the newest message in time."""
 
-    def __init__(self, params):
-        """params: JoystickParams."""
+    def __init__(self, params, listens_since_s=-math.inf):
+        """params: JoystickParams.  listens_since_s: see `ButtonEdges`."""
         self._params = params
-        self._edges = ButtonEdges(params.joystick_late_s)
+        self._edges = ButtonEdges(params.joystick_late_s, listens_since_s)
         self.sticks = CENTRED
         self.heard_s = -math.inf  # arrival of the newest message in time
         self.problems = []  # sentences about what the newest message lacks

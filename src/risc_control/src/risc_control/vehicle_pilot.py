@@ -134,11 +134,13 @@ class SlotClock:
 class VehiclePilot:
     """Joystick state machine, input mapping and loss ladder of one vehicle."""
 
-    def __init__(self, params, vehicle_type, now_s, slot_s=0.0, before=None, nearest=lambda: None):
+    def __init__(
+        self, params, vehicle_type, now_s, slot_s=0.0, before=None, nearest=lambda: None, listens_since_s=-math.inf
+    ):
         """params: VehicleNodeParams.  slot_s: when a slot for commands begins, see `SlotClock`.
 
         before: VehiclePilot that this one follows, or None; a button that is still down is not pressed again.
-        nearest: function that gives `preflight.Facts.nearest`.
+        nearest: function that gives `preflight.Facts.nearest`.  listens_since_s: see `joystick.ButtonEdges`.
         """
         self._params = params
         rate_hz = params.rate_hz(vehicle_type)
@@ -157,7 +159,8 @@ class VehiclePilot:
         # why the controller is not obeyed: it or the vehicle has other full scales
         self.disagreement = before.disagreement if before is not None else ""
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
-        self._joysticks = before._joysticks if before is not None else defaultdict(lambda: Joystick(params))
+        joysticks = defaultdict(lambda: Joystick(params, listens_since_s))
+        self._joysticks = before._joysticks if before is not None else joysticks
         limits = params
         if 0.0 < params.navdata_timeout_s < self._adapter.SILENT_S:
             limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)

@@ -3,15 +3,20 @@
 import argparse
 import math
 import sys
+import textwrap
 
+from risc_experiments.programs import ROLES
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 
 _HEAD = """Faults, as --fault takes them: NAME[:ARG,...][@SECONDS]
-ARG: a number (the argument), a grade, a vehicle, or severity=, duration_s=, vehicle=, channel=; several with commas.
+ARG: a number (the argument), a grade, a vehicle, or severity=, duration_s=, vehicle=, channel=, program=; several with
+commas.
 
     --fault mocap_blackout:0.3@2    no frame for 0.3 s, 2 s after the course is reached
     --fault jump:severe,risc2       by 1 m, of one vehicle; docs/faults.md tells the rest
-"""
+    --fault node_stop:controller,3  a program of the flight hangs for 3 s. Programs: nodes by their names, and
+%s
+""" % textwrap.fill(", ".join(ROLES), 110, initial_indent=" " * 36, subsequent_indent=" " * 36)
 
 
 def fault_option(text):
@@ -26,20 +31,21 @@ def describe(name):
     """Lines about a fault. Raises ValueError for an unknown one."""
     settings = fault_settings(name)
     low, high = settings.argument_range
-    unit = settings.unit if settings.argument == "severity" else "s"
     if low == high:
         argument = "%g" % low
     else:
         argument = "%g to %g" % (low, high) if math.isfinite(high) else "any, from %g" % low
     yield "%s: %s" % (name, settings.summary)
-    yield "    argument  %s, %s%s" % (settings.argument, argument, " " + unit if unit else "")
+    yield "    argument  %s" % " ".join(filter(None, (settings.argument + ",", argument, settings.argument_unit)))
     default = "severity %g" % settings.default_severity if settings.severity[0] != settings.severity[1] else ""
     lasts_s = settings.default.duration_s
     lasts = "for %g s" % lasts_s if math.isfinite(lasts_s) else "until the end"
+    lasts = lasts if lasts_s else "at once"
     yield "    default   %s" % " ".join(filter(None, (default, lasts)))
     if settings.grades:
         yield "    grades    %s" % ", ".join("%s %g" % item for item in settings.grades.items())
-    where = "one vehicle" if settings.per_vehicle else settings.channel or ", ".join(settings.acts_on)
+    where = "a program" if settings.on_programs else settings.channel or ", ".join(settings.acts_on)
+    where = "one vehicle" if settings.per_vehicle else where
     yield "    acts on   %s" % where
     yield "    safe      %s" % ", ".join(settings.safe)
 

@@ -43,6 +43,8 @@ from risc_simulator.virtual_lab import LabOptions
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
+SILENT_S = 5.0  # an operator who says nothing for so long has died
+HUNG_S = 15.0  # ... whom a fault lets hang is to go on: the ladders have landed all vehicles by then
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 CONTROLLER = "differential_flatness"
 BROWSER_PORT = 8080  # of the web page, unless another program has it
@@ -244,13 +246,29 @@ def longest_s(args):
 
 
 def check_faults(events, fleet, seed):
-    """Try in a lab that never runs whether faults can happen to a fleet. Raises ValueError when one cannot."""
+    """Try in a lab that never runs whether faults can happen to a fleet. Raises ValueError when one cannot.
+
+    Faults on programs: whether there is such a vehicle, and the flight can be judged.
+    """
+    on_programs, in_the_lab = by_place(events)
+    namespaces = [vehicle.namespace for vehicle in fleet.vehicles]
+    for event in on_programs:
+        if event.vehicle and event.vehicle not in namespaces:
+            raise ValueError("fault %s: no vehicle '%s'; there are %s" % (event, event.vehicle, ", ".join(namespaces)))
+        if event.program == "recorder" and event.fault == "node_kill":
+            raise ValueError("fault %s: flights are judged by what is recorded; stop the recorder for a while" % event)
     lab = LabOptions(seed=seed, cameras_on_demand=True).make_lab(fleet)
     try:
-        for event in events:
+        for event in in_the_lab:
             lab.injector.check(event)
     finally:
         lab.close()
+
+
+def by_place(events):
+    """FaultEvents: (those on programs, those of the virtual lab)."""
+    on_programs = [event for event in events if event.settings.on_programs]
+    return on_programs, [event for event in events if event not in on_programs]
 
 
 class TooSlow(str):
@@ -262,7 +280,7 @@ def fly(args, folder, progress, interrupted):
     be done.
     """
     reservation = PortReservation()
-    launch = page = None
+    launch = page = programs = None
     try:
         fleet = prepare_fleet(args, reservation.subnet, folder)
         if args.faults:
@@ -278,11 +296,15 @@ def fly(args, folder, progress, interrupted):
             launch_args["browser_port"] = page.port
         launch = Launch(launch_file, launch_args, folder, master_port, reservation)
         wait_for_master(launch, master_port, interrupted)
-        from risc_experiments.ros.watch import Watch  # rospy is to see the environment of this flight
+        from risc_experiments.ros.program_faults import ProgramFaults  # rospy is to see the environment of this flight
+        from risc_experiments.ros.watch import Watch
 
         watch = Watch()
-        return _follow(args, folder, launch, watch, progress, interrupted, page)
+        programs = ProgramFaults(launch.identity)
+        return _follow(args, folder, launch, watch, programs, progress, interrupted, page)
     finally:
+        if programs is not None:
+            programs.end_all()
         if page is not None:
             page.end()
         if launch is not None:
@@ -367,13 +389,16 @@ def wait_for_master(launch, port, interrupted):
             raise FlightError("interrupted before anything flew")
 
 
-def _follow(args, folder, launch, watch, progress, interrupted, page=None):
+def _follow(args, folder, launch, watch, programs, progress, interrupted, page=None):
     """Wait for the end of the flight, showing its progress. Returns why it failed, "" when it did not, or TooSlow.
 
-    As soon as everything has started, the parameters are written down. page: a `WebPage` to look for.
+    As soon as everything has started, the parameters are written down, and whether the programs are there that faults
+    shall happen to (FlightError). page: a `WebPage` to look for.
     """
     deadline = time.monotonic() + longest_s(args)
+    on_programs, in_the_lab = by_place(args.faults)
     landing = recorded = injected = False
+    patience_s = SILENT_S
     problem = ""  # of the faults
     use, use_s = ProcessorUse(launch.identity), 0.0
     headroom = Headroom(launch.identity)
@@ -381,6 +406,12 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
     while watch.failure is None:
         if not recorded and watch.operator_heard:  # by then roslaunch has set everything, and nothing flies yet
             recorded = True
+            try:
+                programs.check(on_programs)
+            except LookupError as error:
+                if not launch.running():
+                    return "a node that the flight needs has died (see roslaunch.log)"
+                raise FlightError("--fault: %s" % error) from error
             try:
                 write_parameters(watch.parameters(), folder)
             except OSError as error:  # no reason to end a flight
@@ -398,7 +429,9 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
             (folder / PROCESSORS).write_text(json.dumps(use.figures(), indent=2) + "\n", encoding="utf-8")
         if args.faults and watch.on_course and not injected:
             injected = True
-            watch.inject(args.faults)
+            if in_the_lab:
+                watch.inject(in_the_lab)
+            programs.start(on_programs)
         if injected and not landing and watch.fault_problem:
             problem = watch.fault_problem
             progress.say("%s: landing all vehicles" % problem)
@@ -418,7 +451,11 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
             return "interrupted twice"
         if not launch.running():
             return "a node that the flight needs has died (see roslaunch.log)"
-        if watch.operator_silent():
+        if programs.acting:
+            patience_s = HUNG_S + SILENT_S
+            if watch.operator_silent(HUNG_S):
+                programs.end_all()
+        if watch.operator_silent(patience_s):
             return "the operator has died (see roslaunch.log)"
         if time.monotonic() > deadline:
             return problem or ("interrupted" if landing else "not finished in time (phase: %s)" % name)

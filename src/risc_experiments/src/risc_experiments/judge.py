@@ -6,6 +6,7 @@ import numpy as np
 
 from data_extraction.report.faults import LANDED_HEIGHT_M
 from risc_lab.phases import OutCause
+from risc_simulator.faults import fault_settings
 
 _MAY_FOLLOW = (OutCause.LADDER, OutCause.LANDED, OutCause.SILENT, OutCause.MANUAL)  # from a fault
 
@@ -71,7 +72,8 @@ def _may_be_out(namespace, faults):
     """Whether faults may be why a vehicle took no part any more: its own, or a neighbour's that it had to avoid."""
     out = faults.out[namespace]
     before = [fault for fault in faults.outcomes if fault.begin_s <= out.time_s]
-    if out.cause not in _MAY_FOLLOW or not before:
+    of_programs = any(fault_settings(fault.name).on_programs for fault in before)
+    if not (out.cause in _MAY_FOLLOW or out.cause == OutCause.NODE and of_programs) or not before:
         return False
     return any(fault.is_of(namespace) for fault in before) or namespace in faults.kept_apart
 

@@ -26,6 +26,7 @@ from risc_lab.settings import Count, NotNegative, Settings
 JOY_RATE_HZ = 10.0  # of its joysticks; once a message it looks, decides and presses
 _PRESS_MESSAGES = 2  # a button is down in so many messages, and up in at least as many: no late clock loses an edge
 _LAND_AGAIN_S = 2.0
+_LISTEN_S = 1.0  # to whoever is flying already
 _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
 _TOGGLE_AGAIN_S = 1.0
@@ -135,6 +136,10 @@ class Watched:
         """True until it has reported that it stands, late enough after the last take-off that was pressed."""
         return self._in_air or self._ground_s < self.takeoff_s + _TAKEOFF_PENDING_S
 
+    def flies(self, params, now_s):
+        """True when its newest report is that it is in the air."""
+        return self._in_air and not self.is_silent(params, now_s)
+
     def is_silent(self, params, now_s):
         """True when its newest report tells nothing any more."""
         return now_s - self.reported_s > params.report_timeout
@@ -163,13 +168,15 @@ class Operator:
 
     vehicles: their namespaces.  go_home: function that has the trajectory node bring all home (or hold, when there is
     no such node), and `home_called` told how that went.  land: function of a namespace that calls its service to land.
-    Neither of them waits.
+    Neither of them waits.  started_again: an operator before this one has taken off, and died: what is in the air is
+    landed, and nothing takes off.
     """
 
-    def __init__(self, vehicles, params, now_s, go_home, land):
+    def __init__(self, vehicles, params, now_s, go_home, land, started_again=False):
         self.vehicles = {name: Watched() for name in vehicles}
         self._params, self._call_home, self._call_land = params, go_home, land
         self._begin(now_s)
+        self._found_flight = started_again  # that is not this operator's
 
     def _begin(self, now_s):
         self.phase = Phase.WAITING
@@ -182,6 +189,7 @@ class Operator:
         self._step_since_s = None
         self._steps_left = 0
         self._failure = ""  # why it did
+        self._found_flight = False
 
     def fly_again(self, now_s):
         """Begin another flight, with all vehicles. Returns why not; "" when it begins."""
@@ -232,6 +240,15 @@ class Operator:
         getattr(self, "_" + self.phase.name.lower())(now_s)
 
     def _waiting(self, now_s):
+        flying = [w for w in self.vehicles.values() if w.flies(self._params, now_s)]
+        self._found_flight = self._found_flight or bool(flying)
+        if self._found_flight:
+            if now_s - self._since_s > _LISTEN_S:
+                for w in flying:
+                    cause = OutCause.LADDER if w.safety == FailsafeLevel.LAND else OutCause.MANUAL
+                    w.leave(cause, "was in flight when the operator was started")
+                self._land_all("the operator was started in flight", now_s)
+            return
         missing = {name: w.not_ready(self._params, now_s) for name, w in self.vehicles.items()}
         self.text = "; ".join("%s %s" % item for item in missing.items() if item[1])
         if self.text:

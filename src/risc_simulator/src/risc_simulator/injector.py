@@ -142,6 +142,9 @@ class Injector:
     def _targets(self, event):
         """Channels, vehicles or hosts that it acts on; of a vehicle that is still to be chosen: the first one's."""
         settings, vehicles = event.settings, self._world.vehicles
+        if settings.on_programs:
+            text = "fault %s acts on programs of the graph, which the lab does not know: only ./maap fly can do it"
+            raise ValueError(text % event.fault)
         if event.vehicle not in ("", EVERYONE):
             look_up(vehicles, event.vehicle, "vehicle")
         names = [event.vehicle] if event.vehicle not in ("", EVERYONE) else list(vehicles)

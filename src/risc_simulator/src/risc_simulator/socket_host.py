@@ -1,6 +1,8 @@
 """What the hosts of the virtual lab have in common: sockets that are waited for."""
 
+import enum
 import errno
+import math
 import selectors
 import socket
 import struct
@@ -250,6 +252,12 @@ class SocketHost:
             member.serve(now_s)
 
 
+class Told(enum.IntEnum):
+    """What a vehicle is told over its link: the numbers of risc_maap_msgs/Told."""
+
+    NOTHING, FLY, HOVER, LAND = range(4)
+
+
 class VehicleHost(SocketHost):
     """What one vehicle is on the wire. Constructed with (vehicle, address, seed, radio_loss, wires), see VirtualLab.
 
@@ -264,6 +272,12 @@ class VehicleHost(SocketHost):
     def __init__(self, vehicle, wires=None):
         super().__init__(vehicle.namespace, wires)
         self._vehicle = vehicle
+        self.told, self.told_s = Told.NOTHING, -math.inf  # as far as the type tells these apart; since when
+
+    def note_told(self, told, now_s):
+        """The vehicle is told this now."""
+        if told is not self.told:
+            self.told, self.told_s = told, now_s
 
     def attach_video(self, video):
         """video: video.server.Station, which serves the video clients, to be told what the configuration says."""

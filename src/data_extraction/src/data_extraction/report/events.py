@@ -5,7 +5,7 @@ vehicles' types tell (`risc_control.vehicles.Told`); and what was made to go wro
 import re
 from dataclasses import dataclass
 
-from data_extraction.report.faults import fault_text
+from data_extraction.report.faults import FAULT_TOPICS, fault_text
 from data_extraction.report.topics import Collector, vehicle_of
 from risc_control.vehicles import told_topics
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
@@ -43,7 +43,7 @@ def _ends(items, most):
 class EventCollector(Collector):
     """Keeps what changed."""
 
-    topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout", "/virtual_lab/faults")
+    topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout", *FAULT_TOPICS)
 
     def __init__(self):
         self._told = {"/" + topic: told for topic, told in told_topics().items()}
@@ -53,7 +53,7 @@ class EventCollector(Collector):
         self._newest = {}  # key -> (its newest event, {source: when that last came})
         self._pressed = {}  # source -> buttons held
         self._said = {}  # source -> what it said last: modes, phases
-        self._acting = set()  # ids of faults
+        self._acting = set()  # (topic, id) of faults
 
     def result(self, _end_s=None):
         """[Event, ...] in the order of time: those that were kept."""
@@ -75,8 +75,8 @@ class EventCollector(Collector):
             self._note_change(receipt_s, "operator", "", _joined(OperatorPhase(message.phase), message.text))
         elif topic == "/operator/result":
             self._add(receipt_s, "operator", "result: " + _joined(OperatorResult(message.result), message.reason))
-        elif topic == "/virtual_lab/faults":
-            self._note_faults(receipt_s, message.faults)
+        elif topic in FAULT_TOPICS:
+            self._note_faults(receipt_s, topic, message.faults)
         elif topic == "/trajectory_phase":
             for name, word in phase_words(message.vehicles).items():
                 self._note_change(receipt_s, name, "trajectory: ", word)
@@ -99,13 +99,15 @@ class EventCollector(Collector):
         else:
             self._note_change(time_s, source, "", words, end)
 
-    def _note_faults(self, time_s, records):
+    def _note_faults(self, time_s, topic, records):
         for record in records:
-            if record.active != (record.id in self._acting):
-                self._acting ^= {record.id}
+            key = topic, record.id
+            if record.active != (key in self._acting):
+                self._acting ^= {key}
                 word = "begins" if record.active else "ends"
                 text = "fault %s %s" % (fault_text(record.name, record.args), word)
-                self._add(time_s, "virtual lab", text, (record.id, word))
+                source = "virtual lab" if topic.startswith("/virtual_lab/") else "maap fly"
+                self._add(time_s, source, text, (key, word))
 
     def _note_change(self, time_s, source, what, word, topic=""):
         if self._said.get((source, what, topic)) != word:

@@ -1,4 +1,5 @@
-"""What was made to go wrong in the virtual lab, and what became of it: outcome and reaction of every fault.
+"""What was made to go wrong in the virtual lab and with the programs of a flight, and what became of it: outcome and
+reaction of every fault.
 
 What happens from the start of a fault to the start of the next one counts as its own.
 """
@@ -16,6 +17,8 @@ from risc_lab.phases import OperatorPhase, OperatorResult, OutCause
 
 LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
 _NEVER_S = math.inf
+TOLD = "/virtual_lab/told"
+FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
 
 
 def fault_text(name, args):
@@ -34,7 +37,8 @@ class FaultOutcome:
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
     is_safe: bool  # its entry calls that outcome safe, and no two vehicles touched
-    # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before
+    # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before, or
+    # to the first by which it is told to hover or to land, e.g. by its driver
     reactions_s: dict[str, float]
 
     @property
@@ -97,6 +101,10 @@ class Faults:
         ]
 
 
+# of an order of risc_maap_msgs/Told: nothing, fly, hover, land
+_LEVELS = FailsafeLevel.OK, FailsafeLevel.OK, FailsafeLevel.HOLD, FailsafeLevel.LAND
+
+
 class _Change(NamedTuple):
     """A vehicle's failsafe level became another one."""
 
@@ -110,7 +118,7 @@ class FaultCollector(Collector):
     """Keeps faults, changes of failsafe levels, crashes; its memory grows with their number only."""
 
     topics = (
-        "/virtual_lab/faults", "/virtual_lab/crash", "/ground_truth", "/commands_sent", "/operator/phase",
+        *FAULT_TOPICS, "/virtual_lab/crash", TOLD, "/ground_truth", "/commands_sent", "/operator/phase",
         "/operator/result",
     )  # fmt: skip
     ends = ("/safety",)
@@ -120,10 +128,10 @@ class FaultCollector(Collector):
         self._arena = fleet.arena if fleet else Arena()
         vehicles = fleet.vehicles if fleet else laboratory_vehicles()
         self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
-        self._faults = {}  # id -> its newest FaultRecord
-        self._began = {}  # id -> when it did
+        self._faults = {}  # (topic, id) -> its newest FaultRecord
+        self._began = {}  # (topic, id) -> when it did
         self._levels = {}  # (topic, vehicle) -> its level
-        self._changes = {"/safety": [], "/commands_sent": []}  # what was said, what was sent
+        self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # what was said, what was sent, what came
         self._hurt_s = []  # when a vehicle touched something, or left the net
         self._contacts_s = []  # when two touched each other
         self._outside = set()  # vehicles
@@ -138,11 +146,11 @@ class FaultCollector(Collector):
         self._out = {}
 
     def __call__(self, topic, receipt_s, message):
-        if topic == "/virtual_lab/faults":
+        if topic in FAULT_TOPICS:
             for record in message.faults:
-                self._faults[record.id] = record
+                self._faults[topic, record.id] = record
                 if record.active:
-                    self._began.setdefault(record.id, seconds(record.begins))
+                    self._began.setdefault((topic, record.id), seconds(record.begins))
         elif topic == "/ground_truth":
             if self._faults:
                 self._look(message)
@@ -150,6 +158,8 @@ class FaultCollector(Collector):
             for command in message.commands:
                 vehicle = self._namespaces.get(command.name, command.name)
                 self._note_level(topic, vehicle, getattr(command, "level", 0), seconds(command.sent))
+        elif topic == TOLD:
+            self._note_level(topic, message.vehicle, _LEVELS[message.order], seconds(message.header.stamp))
         elif topic == "/virtual_lab/crash":
             self._hurt_s.append(seconds(message.header.stamp))
             if message.other:
@@ -184,7 +194,8 @@ class FaultCollector(Collector):
         stamp_s = seconds(message.header.stamp)
         if stamp_s < self._waited_s:
             return  # kept for whoever listens since then: of the flight before
-        if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING:
+        is_flying = self._course_s is not None and self._landing_s == _NEVER_S  # by an operator who was killed
+        if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING and not is_flying:
             self._begin_flight(stamp_s)
         if self._course_s is None and getattr(message, "on_course", False):
             self._course_s = stamp_s
@@ -198,10 +209,10 @@ class FaultCollector(Collector):
     def result(self, end_s):
         """Faults."""
         end_s = min(end_s, self._over_s)
-        begins_s = {number: begin_s for number, begin_s in self._began.items() if begin_s < end_s}
+        begins_s = {key: begin_s for key, begin_s in self._began.items() if begin_s < end_s}
         outcomes = [
-            self._judge(self._faults[number], begin_s, begins_s.values())
-            for number, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
+            self._judge(self._faults[key], begin_s, begins_s.values())
+            for key, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
         ]
         left_ok_s = {change.vehicle: change.time_s for change in self._changes["/safety"] if change.is_rise}
         waiting = len(self._faults) - len(outcomes)
@@ -226,7 +237,8 @@ class FaultCollector(Collector):
         else:
             outcome = "held" if any(at_last.values()) else "completed"
         reactions_s = {}
-        for change in self._changes["/commands_sent"]:
+        came = [change for change in self._changes[TOLD] if change.time_s < said_until_s]
+        for change in sorted(self._changes["/commands_sent"] + came):
             if change.is_rise and begin_s <= change.time_s < until_s:
                 reactions_s.setdefault(change.vehicle, change.time_s - begin_s)
         return FaultOutcome(

@@ -27,6 +27,8 @@ TYPES = {
     "/cmd_vel_stamped": "TwistStamped",
     "/safety": "Safety",
     "/virtual_lab/faults": "Faults",
+    "/program_faults": "Faults",
+    "/virtual_lab/told": "Told",
     "/virtual_lab/crash": "Crash",
     "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",

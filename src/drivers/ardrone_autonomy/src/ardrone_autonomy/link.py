@@ -12,8 +12,10 @@ Commands leave every TICK_S, one PCMD_MAG and one REF in one datagram.  A new or
 it is sent at once and the tick starts over, so nothing is added to the delay of the radio.
 
 Where safety asks for more than the original driver does: the start bit is dropped when the vehicle is lost or has
-rebooted (it would otherwise take off by itself when it comes back), a take-off is refused in emergency, and a reset
-that has no effect is given up instead of being held for ever.  Silence does not take the emergency stop away: telemetry
+rebooted (it would otherwise take off by itself when it comes back), and is set by a driver that finds its vehicle in
+flight (it would land under a driver that was started again); orders that came while the driver stood still are not
+obeyed, except to land and to stop; a take-off is refused in emergency, and a reset that has no effect is given up
+instead of being held for ever.  Silence does not take the emergency stop away: telemetry
 may be lost while commands still arrive, so a reset is sent blind as well.
 """
 
@@ -32,6 +34,8 @@ TICK_S = 0.025  # 40 Hz, as the original; the aircraft starts to worry after 50 
 MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
 WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent, and again; reduced telemetry comes every 65 ms
 COMMAND_TIMEOUT_S = 0.5  # default: a node that died must not leave its last tilt to fly on
+STALL_S = 0.5  # a driver that was not called for so long stood still: orders to fly of that time are old,
+DEAF_S = 0.3  # and may still come in for so long
 LOST_S = 2.0  # silence after which the vehicle counts as lost: its own limit, general:com_watchdog
 ACK_TIMEOUT_S = 0.5  # a configuration write without answer is repeated after this time
 MAX_WRITE_TRIES = 5
@@ -49,6 +53,7 @@ _MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes m
 _NEVER_S = float("inf")
 _FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
 _NOT_IN_FLIGHT = (ControlState.LANDED, ControlState.LANDING)
+_STEERED = (int(ControlState.FLYING), int(ControlState.HOVERING))  # is what a vehicle is then
 
 
 class Phase(Enum):
@@ -71,6 +76,7 @@ class DroneLink:
     session_id: 8 hexadecimal digits.
     settle_s: pause between the first packet and the configuration.
     command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever, as in the original.
+    land_timeout_s: land when it is older, of a vehicle that was steered once; 0 = never, as in the original.
     report: function (level, text), level "info", "warn" or "error".
     """
 
@@ -82,6 +88,7 @@ class DroneLink:
         session_id,
         settle_s=5.0,
         command_timeout_s=COMMAND_TIMEOUT_S,
+        land_timeout_s=0.0,
         report=lambda level, text: None,
     ):
         self._send_command = send_command
@@ -90,6 +97,7 @@ class DroneLink:
         self._session_id = session_id
         self._settle_s = settle_s
         self._command_timeout_s = command_timeout_s
+        self._land_timeout_s = land_timeout_s
         self._report = report
 
         self.phase = Phase.SEARCHING
@@ -111,6 +119,8 @@ class DroneLink:
         self._setup_started_s = float("-inf")
         self._watchdog_reset = False
         self._control_state = ControlState.DEFAULT
+        self._steered_since_s = _NEVER_S  # since when it flies or hovers, of what is known
+        self._stood_still_s, self._deaf_until_s = 0.0, float("-inf")
 
         self._writes = deque()
         self._write_state = _Write.IDLE
@@ -144,16 +154,31 @@ class DroneLink:
         return bool(self.state_bits & _EMERGENCY)
 
     @property
+    def keeps_flying(self):
+        """It is told to stay in the air, if that is where it is."""
+        return self._start
+
+    @property
     def in_flight(self):
         """A connected vehicle reports that it flies and is not landing yet."""
-        if not self.connected or self.emergency or self._control_state in _NOT_IN_FLIGHT:
+        return self.connected and self._says_it_flies
+
+    @property
+    def _says_it_flies(self):
+        if self.emergency or self._control_state in _NOT_IN_FLIGHT:
             return False
         return bool(self.state_bits & _FLYING) or self._control_state == ControlState.TAKING_OFF
 
     # --- orders of the pilot ------------------------------------------------------------------------------------------
+    def stood_still(self, duration_s, now_s):
+        """Nobody has called for so long: the process hung, or the computer slept."""
+        if duration_s >= STALL_S:
+            self._stood_still_s, self._deaf_until_s = duration_s, now_s + DEAF_S
+            self._report("warn", "the driver stood still for %.1f s" % duration_s)
+
     def steer(self, sticks, now_s):
         """Fly with these sticks (piloting.Sticks) from now on."""
-        if self._closing:
+        if self._closing or now_s < self._deaf_until_s:
             return
         self._wanted = sticks
         self._wanted_s = now_s
@@ -168,6 +193,9 @@ class DroneLink:
             self._report("warn", "take-off refused: the vehicle is not ready (%s)" % self.phase.value)
         elif self.emergency:
             self._report("warn", "take-off refused: the vehicle is in emergency, reset it first")
+        elif now_s < self._deaf_until_s:
+            text = "take-off refused: the driver stood still for %.1f s, and the order may be as old. Order it again"
+            self._report("warn", text % self._stood_still_s)
         else:
             self._take_off_ordered = True
             self._hurry(now_s)
@@ -260,6 +288,10 @@ class DroneLink:
         tag, _, word = _FIRST_OPTION.unpack_from(data, HEADER.size)
         if tag == 0:  # Tag.DEMO
             self._control_state = word >> 16
+            if self._control_state not in _STEERED:
+                self._steered_since_s = _NEVER_S
+            elif self._steered_since_s == _NEVER_S:
+                self._steered_since_s = now_s
         if changed & _EMERGENCY:
             self._on_emergency_changed()
         if self.phase is not Phase.READY or self._writes or self._write_state is not _Write.IDLE or bits & _BOOTSTRAP:
@@ -286,6 +318,9 @@ class DroneLink:
                 self._start_configuration(now_s)
             else:
                 self._report("info", "the vehicle answers; configuration follows in %.1f s" % self._settle_s)
+                if self.connections == 1 and self._says_it_flies:
+                    self._report("warn", "the vehicle is in flight: it is kept hovering")
+                    self._start, self._wanted_s = True, now_s
                 self.phase = Phase.SETTLING
                 self._settled_s = now_s + self._settle_s
         elif self.state_bits & _BOOTSTRAP and (
@@ -363,6 +398,7 @@ class DroneLink:
             self._start = False
         else:
             self._sticks = self._fresh_sticks(now_s)
+            self._land_if_forgotten(now_s)
         if self._select and now_s >= self._select_until_s:
             self._select = False
             text = "the reset had no effect: the cause of the emergency persists, or the link is bad"
@@ -385,6 +421,14 @@ class DroneLink:
                 self._report("warn", "no cmd_vel for %.2f s: hovering" % (now_s - self._wanted_s))
             return HOVER
         return self._wanted
+
+    def _land_if_forgotten(self, now_s):
+        """Who steered it has ended or hangs, and nobody brings it down."""
+        silent_s = now_s - max(self._wanted_s, self._steered_since_s)
+        was_steered = self._wanted_s > float("-inf")
+        if self._start and was_steered and 0.0 < self._land_timeout_s < silent_s:
+            self._start = False
+            self._report("warn", "no cmd_vel for %.1f s: landing" % silent_s)
 
     # --- configuration ----------------------------------------------------------------------------------------------
     def _advance_writes(self, now_s):

@@ -41,16 +41,18 @@ class UdpThread:
     report: function (level, text).
     on_packet: called in the thread with every newest Packet; must be short.
     on_failure: called in the thread with the exception that ended it, after the last orders (hover and land).
+    note: called in the thread with (time, DroneLink) whenever it has done its work; must be short.
     link_options: of DroneLink.
     """
 
-    def __init__(self, address, report, on_packet, on_failure, **link_options):
+    def __init__(self, address, report, on_packet, on_failure, note=lambda now_s, link: None, **link_options):
         self.address = address
         self.send_errors = 0
         self.strangers = Strangers(report, "navdata")  # who sends, and is not the vehicle's navdata port
         self._report = report
         self._on_packet = on_packet
         self._on_failure = on_failure
+        self._note = note
         self._last_send_error = None
         self._mailbox = deque()
         self._navdata, self._command = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
@@ -134,10 +136,11 @@ class UdpThread:
         link, clock, navdata, bell = self.link, time.monotonic, self._navdata, self._bell_out
         waitables = (navdata, bell)
         mailbox = self._mailbox
-        now_s = clock()
+        now_s = noted_s = clock()
         while now_s - self._closing_since_s < (LANDING_CONFIRMATION_S if link.in_flight else CLOSING_S):
             readable, _, _ = select.select(waitables, (), (), max(0.0, min(link.due_s - now_s, 1.0)))
             now_s = clock()
+            link.stood_still(now_s - noted_s, now_s)
             if navdata in readable:
                 self._receive(now_s)
             if bell in readable:
@@ -148,6 +151,8 @@ class UdpThread:
             if now_s >= link.due_s:
                 link.poll(now_s)
                 now_s = clock()
+            self._note(now_s, link)
+            noted_s = now_s
 
     def _receive(self, now_s):
         try:

@@ -91,6 +91,7 @@ class ManagerWiring:
         self._to_plan = threading.Event()
         threading.Thread(target=self._plan, name="planner", daemon=True).start()
         self._reader = StatesReader(self.manager.names)
+        self._unseen = set(self.manager.names) if smooth else set()  # where they are is not known yet
         self._publisher = rospy.Publisher("trajectory_phase", TrajectoryPhases, queue_size=10, latch=True)
         self.announce(course)
         self._watcher = None
@@ -99,7 +100,8 @@ class ManagerWiring:
         self._serve("~start", self.manager.start, "starting", "nobody is home and flown automatically")
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
-            rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=1, tcp_nodelay=True)
+            # every word: one that hung must not overlook that a vehicle was flown by hand meanwhile
+            rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=None, tcp_nodelay=True)
         rospy.Subscriber("reference_order", UInt8, self._on_reference_order, queue_size=10, tcp_nodelay=True)
         self._listens = smooth and listens
         self._watch()
@@ -148,11 +150,14 @@ class ManagerWiring:
         with self.lock:
             _, states = self._reader.read(message.buff)
             for i in np.flatnonzero(states.visible):
+                self._unseen.discard(self.manager.names[i])
                 self.manager.see(
                     self.manager.names[i], states.position_m[i], states.velocity_m_s[i], states.angles_rad[i, 2]
                 )
 
     def _on_status(self, message, name):
+        if message.data and name in self._unseen:
+            return  # it would be held at a place where it is not; it is said again and again
         with self.lock:
             changed = self.manager.set_autonomous(name, message.data, self.clock.now_s())
         if changed:

@@ -303,7 +303,8 @@ class _Vehicle:
         self.name = fleet_vehicle.template
         self._node, self._type, self._prefix, self._is_alone = node, vehicle_type, prefix, is_alone
         self._turn_s = turn_s
-        self.pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s, nearest=self._nearest)
+        now_s = time.monotonic()
+        self.pilot = VehiclePilot(node.params, vehicle_type, now_s, turn_s, None, self._nearest, listens_since_s=now_s)
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()

@@ -67,8 +67,8 @@ class Watch:
         """Whether the operator has been heard of for a while: by then the other nodes have started, too."""
         return self._operator_first_s is not None and time.monotonic() - self._operator_first_s > HEARD_S
 
-    def operator_silent(self, limit_s=5.0):
-        """Whether the operator was heard of, and then no more; he reports every second."""
+    def operator_silent(self, limit_s):
+        """Whether the operator was heard of, and then no more for so long; he reports every second."""
         return self._operator_s is not None and time.monotonic() - self._operator_s > limit_s
 
     def parameters(self):

@@ -76,8 +76,9 @@ def read(path):
 
 def differing_conditions(scorecard, other):
     """Names of what both were flown with, where that differs: then a difference may come from it."""
-    both = [{"ladder": card.get("ladder"), **card.get("settings", {})} for card in (scorecard, other)]
-    return [name for name in _CONDITIONS if both[0].get(name) != both[1].get(name)]
+    here, there = ({"ladder": card.get("ladder"), **card.get("settings", {})} for card in (scorecard, other))
+    as_read = json.dumps  # of one that was not read from a file, too
+    return [name for name in _CONDITIONS if as_read(here.get(name)) != as_read(there.get(name))]
 
 
 def write_json(scorecard, path):
@@ -162,13 +163,13 @@ def markdown(scorecard):
     if left:
         lines.append("- and %d more, see the JSON file" % left)
     if "against" in scorecard:
-        lines += ["", "## Against %s" % scorecard["against"]["file"], ""]
+        lines += [""] * bool(lines[-1]) + ["## Against %s" % scorecard["against"]["file"], ""]
         if scorecard["against"]["conditions"]:
             lines += [OTHERWISE % ", ".join(scorecard["against"]["conditions"]), ""]
         items = [item for item in scorecard["against"]["differences"] if item["significant"]]
         if items:
-            lines += _table((*KEY, "figure", "here", "there", "p"), map(compared, items), 5)
-        lines += ["", "%d of %d figures of the same rows differ significantly (5 %% in all, Holm)." % (
+            lines += [*_table((*KEY, "figure", "here", "there", "p"), map(compared, items), 5), ""]
+        lines += ["%d of %d figures of the same rows differ significantly (5 %% in all, Holm)." % (
             len(items), len(scorecard["against"]["differences"]))]  # fmt: skip
     return "\n".join(lines).rstrip() + "\n"
 

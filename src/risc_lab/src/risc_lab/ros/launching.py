@@ -1,6 +1,7 @@
 """Starting a whole launch file and ending it so that nothing is left behind."""
 
 import contextlib
+import functools
 import os
 import pathlib
 import random
@@ -15,6 +16,7 @@ import psutil
 
 MARK = "RISC_MAAP_FLIGHT"  # every process of a flight carries its identity in this environment variable
 _PORTS = range(15000, 30000)  # of TCP, for masters and pages
+_MASTER_PATIENCE_S = 20.0  # after that roslaunch starts one of its own
 _ATTEMPTS = 50  # to find one that is free
 
 
@@ -65,10 +67,11 @@ def free_tcp_port(*preferred):
 
 
 class Launch:
-    """One roslaunch with its own master, in its own session, with its output in a file.
+    """One roslaunch, and a roscore unless one runs at its port, in sessions of their own, their output in a file.
 
-    However the caller dies, nothing is left behind: the kernel interrupts roslaunch then, which ends its nodes, and the
-    vehicle nodes land their vehicles. (The kernel watches the thread that starts it: let that be the main one.)
+    A roslaunch that owns the master ends everything when that dies; here the nodes go on with the connections that they
+    have. However the caller dies, nothing is left behind: the kernel interrupts both then, roslaunch ends its nodes,
+    and the vehicle nodes land their vehicles. (The kernel watches the thread that starts it: let that be the main one.)
     """
 
     def __init__(self, launch_file, arguments, folder, master_port, reservation=None):
@@ -85,12 +88,10 @@ class Launch:
             "PYTHONUNBUFFERED": "1",
         }
         environment.pop("ROS_HOSTNAME", None)
-        command = ["setpriv", "--pdeathsig", "INT", "roslaunch", "--skip-log-check", "-p", str(master_port)]
-        command += [str(launch_file)]
-        command += ["%s:=%s" % item for item in arguments.items()]
+        arguments = ["%s:=%s" % item for item in arguments.items()]
         with self.log_path.open("wb") as log:
-            self._process = subprocess.Popen(
-                command,
+            start = functools.partial(
+                subprocess.Popen,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -98,21 +99,28 @@ class Launch:
                 pass_fds=() if reservation is None else (reservation.fileno(),),
                 start_new_session=True,  # a Ctrl-C at the terminal is for us: the vehicles must land first
             )
+            mortal, self._core = ("setpriv", "--pdeathsig", "INT"), None
+            if not _listens(master_port):
+                self._core = start([*mortal, "roscore", "-p", str(master_port)])
+                wait_until(lambda: _listens(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
+            self._process = start([*mortal, "roslaunch", "--skip-log-check", str(launch_file), *arguments])
 
     def running(self):
         """Whether roslaunch is alive; it ends by itself when a required node dies."""
         return self._process.poll() is None
 
     def stop(self, patience_s=30.0):
-        """End all nodes, first kindly. Returns the command names of processes that had to be killed."""
-        if self.running():
-            self._process.send_signal(signal.SIGINT)
+        """End all nodes and the master, first kindly. Returns the command names of processes that had to be killed."""
+        started = [process for process in (self._process, self._core) if process is not None]
+        for process in started:
+            process.send_signal(signal.SIGINT)  # nothing happens to one that has ended
             try:
-                self._process.wait(patience_s)
+                process.wait(patience_s)
             except subprocess.TimeoutExpired:
-                self._process.kill()
+                process.kill()
         leftovers = end_processes(self.identity)
-        self._process.wait()
+        for process in started:
+            process.wait()
         return sorted(leftovers.values())
 
     def log_tail(self, lines=15):
@@ -147,14 +155,20 @@ def end_processes(identity):
     return leftovers
 
 
-def wait_until(done, patience_s):
+def wait_until(done, patience_s, period_s=0.1):
     """Whether `done` came true in time."""
     deadline = time.monotonic() + patience_s
     while not done():
         if time.monotonic() > deadline:
             return False
-        time.sleep(0.1)
+        time.sleep(period_s)
     return True
+
+
+def _listens(port):
+    """Whether a program of this computer listens on a TCP port."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def any_busy(pids):

@@ -1,4 +1,5 @@
-"""Faults: what goes wrong in the lab, as data. A seeded act on a wire, on frames of motion capture, vehicles or hosts.
+"""Faults: what goes wrong in the lab, as data. A seeded act on a wire, on frames of motion capture, vehicles, hosts or
+programs.
 
 A fault is a module here and its YAML file (config/faults/NAME.yaml), which holds the fields of `FaultSettings`. What
 the module has depends on what it acts on:
@@ -11,6 +12,8 @@ the module has depends on what it acts on:
     plant                 make(severity, rng) -> an object with what it needs of begin(vehicle, time_s), step(vehicle,
                           time_s) (before each step of the world) and end(vehicle, time_s). vehicle: world.Vehicle.
     hosts                 the same with hosts, {"cortex": its host}, in place of the vehicle: stop() and start() there
+    programs              the same with a program of the graph, which has kill(), stop() and resume(). The lab does not
+                          know programs: who has started them lets it happen (`./maap fly`)
 rng: numpy Generator that belongs to this act alone.
 One from elsewhere is faults/NAME.py and faults/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
@@ -56,7 +59,7 @@ class FaultSettings(Settings):
     severity: tuple[float, float]  # least and greatest
     summary: str = ""  # for people, one line
     unit: str = ""  # of the severity
-    acts_on: tuple[Literal["datagrams", "streams", "frames", "plant", "hosts"], ...] = ("datagrams",)
+    acts_on: tuple[Literal["datagrams", "streams", "frames", "plant", "hosts", "programs"], ...] = ("datagrams",)
     channel: str = ""  # of the wire, unless an event names one; {vehicle}: its namespace
     argument: Literal["severity", "duration"] = "severity"  # what a number on the command line is
     duration_s: tuple[NotNegative, NotNegative] = (0.0, math.inf)  # least and greatest
@@ -86,9 +89,23 @@ class FaultSettings(Settings):
         return self.severity[0] if self.default.severity is None else self.default.severity
 
     @property
+    def argument_field(self):
+        """The field of a FaultEvent that the argument is."""
+        return "severity" if self.argument == "severity" else "duration_s"
+
+    @property
     def argument_range(self):
         """Least and greatest value of the argument."""
-        return self.severity if self.argument == "severity" else self.duration_s
+        return getattr(self, self.argument_field)
+
+    @property
+    def argument_unit(self):
+        return self.unit if self.argument == "severity" else "s"
+
+    @property
+    def on_programs(self):
+        """It happens to a program of the graph, not in the lab."""
+        return "programs" in self.acts_on
 
 
 @dataclass(frozen=True)
@@ -102,10 +119,15 @@ class FaultEvent(Settings):
     start_s: float = 0.0  # from when it is added
     # of `Wires`, e.g. risc1/navdata; with * and ? it means several, e.g. risc1/*, */commands; "": the member's default
     channel: str = ""
+    program: str = ""  # what it does in the graph, e.g. controller: of faults on programs, which need one
 
     def __post_init__(self):
         super().__post_init__()
         settings = self.settings
+        if settings.on_programs and not self.program:
+            raise ValueError("%s: which program? Write e.g. %s:controller" % (self.fault, self.fault))
+        if self.program and not settings.on_programs:
+            raise ValueError("%s acts on no program: leave '%s' out" % (self.fault, self.program))
         if self.severity is None:
             object.__setattr__(self, "severity", settings.default_severity)
         if self.duration_s is None:
@@ -129,14 +151,15 @@ class FaultEvent(Settings):
         settings = self.settings
         numbers = {"severity": (self.severity, settings.default_severity),
                    "duration_s": (self.duration_s, settings.default.duration_s)}  # fmt: skip
-        value, _ = numbers.pop("severity" if settings.argument == "severity" else "duration_s")
-        items = ["%g" % value, self.vehicle]
+        value, _ = numbers.pop(settings.argument_field)
+        least, greatest = settings.argument_range
+        items = [self.program, "%g" % value if least < greatest else "", self.vehicle]
         items += ["%s=%g" % (name, value) for name, (value, default) in numbers.items() if value != default]
         items += ["channel=" + self.channel] if self.channel else []
         return ",".join(filter(None, items))
 
     def __str__(self):
-        return "%s:%s@%g" % (self.fault, self.args, self.start_s)
+        return "%s@%g" % (":".join(filter(None, (self.fault, self.args))), self.start_s)
 
 
 def fault_settings(name):
@@ -152,7 +175,8 @@ def _settings(name, _folders):
 def parse_fault(text):
     """FaultEvent of a text NAME[:ARG,...][@SECONDS], e.g. mocap_blackout:0.3, jump:0.5,risc2@4, loss:severe.
 
-    ARG: a number, the fault's argument; the name of one of its grades; a vehicle; or FIELD=VALUE of a FaultEvent.
+    ARG: a number, the fault's argument; the name of one of its grades; a vehicle; or FIELD=VALUE of a FaultEvent. Of
+    faults on programs the first name is the program's, e.g. node_stop:controller,3.
     SECONDS: when it starts. Raises ValueError that names cause and cure.
     """
     rest, at, start = text.rpartition("@") if "@" in text else (text, "", "")
@@ -166,21 +190,21 @@ def parse_fault(text):
             raise ValueError("fault '%s': '%s' is there twice: write %s" % (text, key, _FORM))
         values[key] = value
 
-    argument = "severity" if settings.argument == "severity" else "duration_s"
     for item in filter(None, arguments.split(",")):
         key, equals, value = item.partition("=")
         if equals and key in ("severity", "duration_s"):
             put(key, _number(text, value))
-        elif equals and key in ("vehicle", "channel"):
+        elif equals and key in ("vehicle", "channel", "program"):
             put(key, value)
         elif equals:
-            raise ValueError("fault '%s': no '%s'; there are severity, duration_s, vehicle, channel" % (text, key))
+            known = "severity, duration_s, vehicle, channel, program"
+            raise ValueError("fault '%s': no '%s'; there are %s" % (text, key, known))
         elif item in settings.grades:
-            put(argument, settings.grades[item])
+            put(settings.argument_field, settings.grades[item])
         elif item == EVERYONE or re.fullmatch(r"[A-Za-z]\w*", item) and item not in ("inf", "nan"):
-            put("vehicle", item)
+            put("program" if settings.on_programs and "program" not in values else "vehicle", item)
         else:
-            put(argument, _number(text, item))
+            put(settings.argument_field, _number(text, item))
     if at:
         values["start_s"] = _number(text, start)
     try:

@@ -15,7 +15,7 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import Crash, FaultKind, FaultKinds, FaultRecord, Faults, WaveBoard
+from risc_maap_msgs.msg import Crash, FaultKind, FaultKinds, FaultRecord, Faults, Told, WaveBoard
 from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBackResponse
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 from risc_simulator.virtual_lab import LabOptions
@@ -45,19 +45,21 @@ def make_lab(options):
 
 
 def fault_kinds():
-    """FaultKinds of all faults that are known here."""
+    """FaultKinds of all faults that can happen here."""
     kinds = []
     for name in REGISTRY.names():
         settings = fault_settings(name)
-        by_severity = settings.argument == "severity"
+        if settings.on_programs:
+            continue
+        defaults = {"severity": settings.default_severity, "duration_s": settings.default.duration_s}
         kinds.append(
             FaultKind(
                 name,
                 settings.summary,
-                "severity" if by_severity else "duration_s",
-                settings.unit if by_severity else "s",
+                settings.argument_field,
+                settings.argument_unit,
                 *settings.argument_range,
-                settings.default_severity if by_severity else settings.default.duration_s,
+                defaults[settings.argument_field],
                 list(settings.grades),
                 list(settings.grades.values()),
                 settings.per_vehicle,
@@ -99,6 +101,8 @@ class VirtualLabNode:
         self._publisher = rospy.Publisher("/ground_truth", CortexArrays, queue_size=50, tcp_nodelay=True)
 
         self._crashes = rospy.Publisher("/virtual_lab/crash", Crash, queue_size=50)
+        self._told = rospy.Publisher("/virtual_lab/told", Told, queue_size=100)
+        self._told_last = {}  # namespace -> socket_host.Told
         self._faults = rospy.Publisher("/virtual_lab/faults", Faults, queue_size=50, latch=True)
         kinds = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
         kinds.publish(fault_kinds())
@@ -128,11 +132,20 @@ class VirtualLabNode:
                 rospy.logwarn("%s %s at (%.2f, %.2f, %.2f) m", crash.namespace, crash.reason, *crash.position_m)
                 told = Crash(_header(), crash.namespace, crash.other, crash.reason, *crash.position_m)
                 self._send(self._crashes, told)
+        for namespace, host in self._lab.vehicle_hosts.items():
+            if host.told is not self._told_last.get(namespace):
+                self._tell_told(namespace, host)
         if self._lab.injector.changes != self._fault_changes:
             self._fault_changes = self._lab.injector.changes
             self._publish_faults()
         if self._publisher.get_num_connections():
             self._publish()
+
+    def _tell_told(self, namespace, host):
+        self._told_last[namespace] = host.told
+        message = Told(vehicle=namespace, order=host.told)
+        message.header.stamp = rospy.Time.from_sec(max(0.0, rospy.get_time() - self._lab.now_s() + host.told_s))
+        self._send(self._told, message)
 
     def _publish(self):
         age_s = self._lab.now_s() - self._lab.exposure_s

@@ -23,6 +23,7 @@ from tf2_msgs.msg import TFMessage
 
 from ardrone_autonomy import msg, srv
 from ardrone_autonomy.attitude import Odometry
+from ardrone_autonomy.keeper import Keeper, take_over
 from ardrone_autonomy.link import DroneLink, Phase
 from ardrone_autonomy.piloting import HOVER, sticks_from_velocity
 from ardrone_autonomy.protocol.at import FLIGHT_ANIMATIONS_MS
@@ -75,8 +76,9 @@ def make_drivers(arguments=()):
 
 def run(drivers):
     """Fly until ROS shuts down; then hover, land what flies, and close the sockets."""
-    for driver in drivers:
-        driver.start()
+    keeper = _make_keeper(drivers)
+    for k, driver in enumerate(drivers):
+        driver.start(keeper, k)
     try:
         rospy.spin()
     finally:
@@ -84,6 +86,19 @@ def run(drivers):
             driver.udp.begin_to_stop()  # hover, and land if flying; the next one waits for it
         for driver in drivers:
             driver.stop()
+        if keeper is not None:
+            keeper.close()
+
+
+def _make_keeper(drivers):
+    """Keeper of their vehicles; None: there is none."""
+    if not all(driver.wants_keeper for driver in drivers):
+        return None
+    try:
+        return Keeper([driver.address for driver in drivers])
+    except OSError as error:
+        rospy.logerr("nobody keeps the vehicles hovering if this driver dies or hangs: %s", error)
+        return None
 
 
 class ArdroneDriver:
@@ -101,16 +116,18 @@ class ArdroneDriver:
         self._prefix, self._is_alone = prefix, is_alone
         for text in configuration.warnings:
             rospy.logwarn("%s%s", self._who, text)
-        self._address = resolve(params.drone_ip)
+        self.address = resolve(params.drone_ip)
+        self.wants_keeper, self._keeper, self._place = params.keeper, None, 0
         self._period_s = 1.0 / params.looprate
         self._waiting = deque(maxlen=REALTIME_BACKLOG if params.realtime_navdata else 1)  # newest packets to publish
         self._arrived = threading.Event()
         self._replacing = threading.Lock()
+        self._has_taken_over = False  # the vehicle from the keeper of a driver that died
         self.udp = self._make_udp()  # the UdpThread in service: another one after a failure
         self._channel = configuration.video_channel
         self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
         self._video = Video(
-            self._address,
+            self.address,
             [tf_frame(params.drone_frame_id + suffix) for suffix in CAMERA_FRAMES],
             configuration.video_channel,
             (params.camera_info_url, params.bottom_camera_info_url),
@@ -127,7 +144,7 @@ class ArdroneDriver:
         self._counts = dict.fromkeys(("refused cmd_vel", "skipped packets", "bad packets", "packets not published"), 0)
         self._battery_pct = self._flight_state = self._link_quality = "unknown"
         self._growth = Growth()
-        updater = make_updater("AR.Drone %s" % self._address)
+        updater = make_updater("AR.Drone %s" % self.address)
         updater.add(self.label("vehicle"), self._diagnose)
         updater.add(self.label("video"), self._video.fill)
         Ticker(1.0, updater.force_update, "the diagnostics")
@@ -148,7 +165,7 @@ class ArdroneDriver:
     def _make_udp(self):
         params, session_id = self._params, secrets.token_hex(4)
         return UdpThread(
-            self._address,
+            self.address,
             self._report,
             self._on_packet,
             self._on_failure,
@@ -156,11 +173,14 @@ class ArdroneDriver:
             session_id=session_id,
             settle_s=params.settle_time,
             command_timeout_s=params.cmd_timeout,
+            land_timeout_s=params.cmd_land_timeout,
+            note=self._note_state,
         )
 
-    def start(self):
-        """Look for the vehicle."""
-        rospy.loginfo("%slooking for the vehicle at %s", self._who, self._address)
+    def start(self, keeper=None, place=0):
+        """Look for the vehicle. keeper: Keeper that has it in this place of its list."""
+        self._keeper, self._place = keeper, place
+        rospy.loginfo("%slooking for the vehicle at %s", self._who, self.address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
         self.udp.start()
         self._video.stream.start()
@@ -285,6 +305,13 @@ class ArdroneDriver:
                 self.udp = self._make_udp()
                 self.udp.start()
 
+    def _note_state(self, now_s, link):
+        if link.connections == 1 and not self._has_taken_over:
+            self._has_taken_over = True
+            take_over(self.address)
+        if self._keeper is not None:
+            self._keeper.note(self._place, now_s, link.connections > 0, link.keeps_flying)
+
     def _on_packet(self, packet):
         if self._telemetry is None:
             return
@@ -400,6 +427,7 @@ class ArdroneDriver:
             ("send errors", udp.send_errors),
             ("unanswered configuration writes", link.unanswered_writes),
             ("refused cmd_vel", counts["refused cmd_vel"]),
+            ("keeper", "runs" if self._keeper is not None and self._keeper.runs else "none"),
         ):
             status.add(*item)
         return status

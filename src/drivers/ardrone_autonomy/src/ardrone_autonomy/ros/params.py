@@ -29,6 +29,8 @@ class DriverParams(Settings):
     drone_frame_id: Name = "ardrone_base"
     settle_time: NotNegative = 5.0  # [s] from the first packet to the configuration
     cmd_timeout: NotNegative = COMMAND_TIMEOUT_S  # [s] hover when cmd_vel is older; 0 = never
+    cmd_land_timeout: NotNegative = 0.0  # [s] land when cmd_vel is older; 0 = never
+    keeper: bool = True  # a process that keeps vehicles hovering when the driver dies or hangs, see `keeper`
 
 
 _Enabled = make_dataclass(

@@ -13,6 +13,7 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import load_params
 
 RETRY_S = 1.0
+STALL_S = 0.3  # a node that wakes later than it wanted by more stood still: what was pressed meanwhile is old
 READ_BYTES = 64 * 8
 
 
@@ -79,8 +80,9 @@ class JoyNode:
         while not rospy.is_shutdown():
             if clock.due(time.monotonic()):
                 self._publish(state, clock, path)
-            wait_s = clock.wait_s(time.monotonic(), RETRY_S)
+            wait_s, begin_s = clock.wait_s(time.monotonic(), RETRY_S), time.monotonic()
             ready, _, _ = select.select([fd, self._wake_read], [], [], wait_s)
+            stood_still = time.monotonic() - begin_s > wait_s + STALL_S
             if fd in ready:
                 try:
                     data = os.read(fd, READ_BYTES)
@@ -96,8 +98,11 @@ class JoyNode:
                     if urgency is Urgency.NEVER:
                         text = "joy: %s sends records of type %d, which is no button and no axis: is ~dev a joystick?"
                         rospy.logwarn_throttle(10.0, text % (path, event.type))
-                    if clock.event(urgency, time.monotonic()):
+                    if clock.event(urgency, time.monotonic()) and not stood_still:
                         self._publish(state, clock, path)
+                if stood_still:  # only what is so now counts
+                    rospy.logwarn("joy: the node stood still; what was pressed and released meanwhile is left out")
+                    self._publish(state, clock, path)
             self._diagnostics.update()
 
     def _publish(self, state, clock, path):

@@ -32,7 +32,7 @@ from ardrone_autonomy.protocol.navdata import ControlState, State
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
-from risc_simulator.socket_host import TcpClients, VehicleHost, open_socket
+from risc_simulator.socket_host import TcpClients, Told, VehicleHost, open_socket
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
 from risc_simulator.vehicles.ardrone.profiles import NO_LIMIT_MM, ConfigurationStore
@@ -130,6 +130,7 @@ class ArdroneHost(VehicleHost):
         # piloting
         self._arriving = deque()  # (time, item) from the radio that is not yet due
         self._last_phase = vehicle.phase
+        self._told_flags = NO_STICKS.flags
         self._forget_pilot()
         self._ref_sequence = 0
         self._ref_time_s = None
@@ -293,12 +294,21 @@ class ArdroneHost(VehicleHost):
         if bits != self._submitted_ref:
             self._submitted_ref = bits
             self._radio.submit(now_s, bits, must_arrive=True)
+        self._note_told(now_s)
 
     def _on_pcmd(self, command, now_s):
         flags, *sticks = command.arguments
         sticks = [min(1.0, max(-1.0, value)) for value in sticks]
         sticks += [0.0] * (6 - len(sticks))
+        self._told_flags = flags
         self._radio.submit(now_s, Sticks(flags, *sticks, command.sequence, now_s))
+
+    def _note_told(self, now_s):
+        """With REF, which clients send behind their PCMD."""
+        if not self._submitted_ref & _START:
+            self.note_told(Told.LAND, now_s)
+        else:
+            self.note_told(Told.FLY if self._told_flags & _PROGRESSIVE else Told.HOVER, now_s)
 
     def _on_config_ids(self, command, _):
         self._config_ids = command.arguments

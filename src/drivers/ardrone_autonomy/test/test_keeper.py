@@ -1,0 +1,165 @@
+"""The process that keeps vehicles hovering when their driver dies or hangs, and lands them when no other one comes."""
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+from scripted_drone import free_address
+
+from ardrone_autonomy import keeper as keeper_module
+from ardrone_autonomy.keeper import HOVER_S, LAND_S, STALE_S, take_over
+from ardrone_autonomy.piloting import HOVER
+from ardrone_autonomy.protocol import AT_PORT, at
+
+FLY = at.pcmd_mag(1, *HOVER) + at.ref(2, start=True)
+LAND = at.pcmd_mag(1, *HOVER) + at.ref(2, start=False)
+# What of a driver matters here. Arguments: whether it keeps its vehicle in the air, and the addresses.
+DRIVER = """
+import sys, time
+from ardrone_autonomy.keeper import Keeper
+
+flies, *addresses = sys.argv[1:]
+keeper = Keeper(addresses)
+print(keeper._process.pid, flush=True)
+while True:
+    for k in range(len(addresses)):
+        keeper.note(k, time.monotonic(), True, flies == "True")
+    time.sleep(0.01)
+"""
+LIMIT_S = 20.0
+
+
+class Vehicle:
+    """Hears what is sent to an aircraft."""
+
+    def __init__(self):
+        self.address = free_address()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((self.address, AT_PORT))
+
+    def hears(self, wanted):
+        """Wait for a datagram. Returns when it was there."""
+        deadline_s = time.monotonic() + LIMIT_S
+        while time.monotonic() < deadline_s:
+            if self.hears_within(0.1) == wanted:
+                return time.monotonic()
+        raise AssertionError("%r did not come" % wanted)
+
+    def hears_within(self, duration_s):
+        """The next datagram; None: there was none for so long."""
+        return self._socket.recv(2048) if select.select([self._socket], (), (), duration_s)[0] else None
+
+    def close(self):
+        self._socket.close()
+
+
+@pytest.fixture
+def vehicles():
+    vehicles = [Vehicle(), Vehicle()]
+    yield vehicles
+    for vehicle in vehicles:
+        vehicle.close()
+
+
+@pytest.fixture
+def drive(vehicles):
+    """Function that starts a driver of the vehicles: (its process, that of its keeper)."""
+    started = []
+
+    def start(flies=True):
+        words = [sys.executable, "-c", DRIVER, str(flies), *(vehicle.address for vehicle in vehicles)]
+        driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        process = psutil.Process(int(driver.stdout.readline()))
+        started.append((driver, process))
+        return driver, process
+
+    yield start
+    for driver, process in started:
+        driver.kill()
+        driver.wait()
+        driver.stdout.close()
+        if process.is_running():
+            process.kill()
+
+
+def test_it_speaks_as_the_driver_does():
+    assert (keeper_module._FLY, keeper_module._LAND, keeper_module._AT_PORT) == (FLY, LAND, AT_PORT)
+
+
+def test_it_is_silent_as_long_as_the_driver_works(vehicles, drive):
+    drive()
+    assert vehicles[0].hears_within(4.0 * STALE_S) is None
+
+
+def test_vehicles_of_a_driver_that_was_killed_hover_and_then_land(vehicles, drive):
+    driver, process = drive()
+    driver.kill()
+    begin_s = [vehicle.hears(FLY) for vehicle in vehicles]
+    land_s = [vehicle.hears(LAND) for vehicle in vehicles]
+    assert all(land - begin > 0.9 * HOVER_S for begin, land in zip(begin_s, land_s))
+    process.wait(LAND_S + LIMIT_S)  # nothing is left behind
+
+
+def test_vehicles_on_the_ground_are_not_brought_into_the_air(vehicles, drive):
+    driver, process = drive(flies=False)
+    driver.kill()
+    vehicles[0].hears(LAND)
+    process.wait(LAND_S + LIMIT_S)
+    while (data := vehicles[1].hears_within(0.0)) is not None:
+        assert data == LAND
+
+
+def test_vehicles_of_a_driver_that_hangs_hover_until_it_goes_on(vehicles, drive):
+    driver, process = drive()
+    os.kill(driver.pid, signal.SIGSTOP)
+    vehicles[0].hears(FLY)
+    os.kill(driver.pid, signal.SIGCONT)
+    deadline_s = time.monotonic() + LIMIT_S
+    while vehicles[0].hears_within(4.0 * STALE_S) is not None:
+        assert time.monotonic() < deadline_s, "it is still speaking"
+    assert process.is_running()
+
+
+def test_a_new_driver_takes_its_vehicles_over(vehicles, drive):
+    driver, process = drive()
+    driver.kill()
+    for vehicle in vehicles:
+        vehicle.hears(FLY)
+    deadline_s = time.monotonic() + HOVER_S + LIMIT_S
+    while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < deadline_s
+        for vehicle in vehicles:
+            take_over(vehicle.address)
+        time.sleep(0.02)
+    heard = []
+    while (data := vehicles[0].hears_within(0.0)) is not None:
+        heard.append(data)
+    assert LAND not in heard, "it was flown by somebody else then"
+    take_over(vehicles[0].address)  # nobody is there: nothing happens
+
+
+def test_the_keeper_of_a_driver_that_works_is_not_sent_away(vehicles, drive):
+    driver, _ = drive()
+    take_over(vehicles[0].address)
+    driver.kill()
+    vehicles[0].hears(FLY)
+
+
+def test_a_driver_that_ends_takes_it_along():
+    keeper = keeper_module.Keeper([free_address()])
+    assert keeper.runs
+    keeper.close()
+    assert not keeper.runs
+
+
+def test_a_driver_ends_without_one_that_has_died():
+    keeper = keeper_module.Keeper([free_address()])
+    keeper._process.kill()
+    keeper.close()
+    assert not keeper.runs
