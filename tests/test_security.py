@@ -102,10 +102,11 @@ def test_a_virtual_lab_hears_what_the_page_says(fleet, tmp_path):
 
 PROGRAMS = {  # by which the page calls them -> what is in their command lines
     "stream_markers": "/stream_markers ", "ardrone_driver": "/ardrone_driver ", "roscopter": "/roscopter/",
-    "serial_node.py": "/serial_node.py ", "live_view": "/live_view ", "./maap fly": "risc_experiments.fly ",
+    "serial_node.py": "/serial_node.py ", "live_view": "/live_view ",
+    "./maap fly": "risc_experiments.fly |/roslaunch |/roscore ",
 }  # fmt: skip
 EVERYWHERE = ("0.0.0.0", "::")
-MOST_OF_ROS = 2  # listeners of a node: for its XML-RPC and for its topics; the master and roslaunch have one
+OF_ROS = {"TCP": 2, "UDP": 1}  # of a node, at most
 
 
 def not_on_the_page(folder):
@@ -113,17 +114,17 @@ def not_on_the_page(folder):
     page, stream_port = tables(), load_fleet(folder / "fleet.yaml").mocap.stream_port
     found = []
     for pid in left_behind(folder):
-        command, of_ros = command_of(pid), 0
-        rows = [row for row in page["What listens"] if any("`" + name in row[0] for name in names_in(command))]
-        told = [row[1] for row in rows + (page["The virtual lab"] if "virtual_lab" in command else [])]
-        for kind, port, address in heard_by(pid):
-            if (kind, port) == ("UDP", stream_port):
-                port = 1001  # every flight has one of its own
-            if any(is_told(kind, port, address, cell) for cell in told):
-                continue
-            of_ros += kind == "TCP" and address in EVERYWHERE
-            if kind == "UDP" or address not in EVERYWHERE or of_ros > MOST_OF_ROS:
-                found.append("%s %d at %s: %s" % (kind, port, address, command[:200]))
+        with contextlib.suppress(psutil.NoSuchProcess):
+            command, entries = command_of(pid), heard_by(pid)
+            rows = [row for row in page["What listens"] if any("`" + name in row[0] for name in names_in(command))]
+            told = [row[1] for row in rows + (page["The virtual lab"] if "virtual_lab" in command else [])]
+            # every flight has a port of its own for the stream
+            ports = [(kind, 1001 if (kind, port) == ("UDP", stream_port) else port, at) for kind, port, at in entries]
+            left = [entry for entry in ports if not any(is_told(*entry, cell) for cell in told)]
+            most_open = 0 if "python" in command.partition(" ")[0] else 1
+            is_of_ros = all(sum(entry[0] == kind for entry in left) <= most for kind, most in OF_ROS.items())
+            if not is_of_ros or sum(entry[2] in EVERYWHERE for entry in left) > most_open:
+                found += ["%s %d at %s: %s" % (*entry, command[:200]) for entry in left]
     return found
 
 
@@ -133,7 +134,7 @@ def command_of(pid):
 
 def names_in(command):
     """Names by which the page calls the program of a command line."""
-    return [name for name, part in PROGRAMS.items() if part in command]
+    return [name for name, part in PROGRAMS.items() if re.search(part, command)]
 
 
 def is_told(kind, port, address, cell):
