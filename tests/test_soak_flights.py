@@ -112,6 +112,22 @@ def test_three_minutes(tmp_path):
     assert starts and len([line for line in output.splitlines() if "flight 2" in line]) > 0
 
 
+def test_programs_that_are_killed_come_back_and_the_fleet_flies_on(tmp_path):
+    folder = tmp_path / "soak"
+    soak = start(folder, 0.05, "--faults", "node_kill,node_stop")
+    code, output = flying.finish(soak, folder, 900.0)
+    assert code == 0, output
+    faults = entries(folder, "fault")
+    assert {fault["name"] for fault in faults} <= {"node_kill", "node_stop"} and len(faults) > 3
+    assert any(fault["name"] == "node_kill" and fault["flying"] for fault in faults)
+    pids = {}
+    for sample in entries(folder, "sample"):
+        for name in sample["processes"]:
+            pids.setdefault(name, set()).add(sample["processes"][name]["pid"])
+    assert any(len(found) > 1 for found in pids.values()), "somebody came in the place of one that was killed"
+    assert len(result_of(folder)["flights"]) >= 2
+
+
 def test_ten_minutes(tmp_path):
     folder = tmp_path / "soak"
     code, output = flying.finish(start(folder, 10.0 / 60.0), folder, 1800.0)

@@ -137,7 +137,7 @@ class World:
 
     def _on_commands_sent(self, message):
         for command in message.commands:
-            self.told[command.name].append(command)
+            self.told.setdefault(command.name, []).append(command)
 
     def _on_diagnostics(self, message):
         for status in message.status:

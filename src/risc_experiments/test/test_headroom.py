@@ -17,6 +17,9 @@ from risc_experiments import fly, headroom
 from risc_experiments.headroom import judge, next_rate_hz, verdict
 from risc_lab.phases import OperatorPhase
 
+# nothing happens to programs
+NO_PROGRAMS = types.SimpleNamespace(check=lambda _: None, start=lambda _: None, end_all=lambda: None, acting=())
+
 
 def figures(flight=0.6, other=0.0, steal=0.0, cores=2, idle=0.5):
     computer = {"cores": cores, "idle": idle, "steal": steal, "busiest_other": "browser", "busiest_other_cores": other}
@@ -222,7 +225,7 @@ def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
         operator_heard=False,
         errors_mm={},
         rate_hz=None,
-        operator_silent=lambda: False,
+        operator_silent=lambda _: False,
     )
     looks = []
 
@@ -244,6 +247,7 @@ def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
         tmp_path,
         types.SimpleNamespace(identity="nobody", running=lambda: True),
         watch,
+        NO_PROGRAMS,
         types.SimpleNamespace(show=show, say=lambda text: None),
         interrupted,
     )
@@ -284,6 +288,7 @@ def test_faults_that_do_not_happen_end_the_flight(monkeypatch, tmp_path, answers
         tmp_path,
         types.SimpleNamespace(identity="nobody", running=lambda: True),
         watch,
+        NO_PROGRAMS,
         types.SimpleNamespace(show=show, say=lambda text: None),
         threading.Event(),
     )

@@ -19,9 +19,9 @@ from risc_experiments.soak.__main__ import main
 from risc_experiments.soak.drift import MOST_SAMPLES, Track, drift
 from risc_experiments.soak.processes import OURSELVES, Processes
 from risc_experiments.soak.run import LogFollower, Record
-from risc_experiments.soak.settings import SoakLimits, SoakParams, load_params
+from risc_experiments.soak.settings import ProgramFaultParams, SoakLimits, SoakParams, load_params
 from risc_lab.ros.launching import MARK, wait_until
-from risc_simulator.faults import fault_settings, load_faults
+from risc_simulator.faults import load_faults
 
 HOUR_S = 3600.0
 PARAMS = SoakParams()
@@ -36,9 +36,12 @@ def test_the_settings_of_the_tree_are_the_defaults():
     assert load_params() == PARAMS
 
 
-def faults_of(number, seed=1, names=None, duration_s=40.0):
-    card = plan.load_params()
-    return script.faults_of(number, seed, names or script.names_of((), (), card), VEHICLES, duration_s, card)
+CARD = plan.load_params()
+ALL = script.deck_of((), PARAMS, CARD)
+
+
+def faults_of(number, seed=1, deck=ALL, duration_s=40.0):
+    return script.faults_of(number, seed, deck, VEHICLES, duration_s)
 
 
 def test_a_seed_gives_the_same_faults_again_and_another_flight_or_seed_others():
@@ -47,37 +50,48 @@ def test_a_seed_gives_the_same_faults_again_and_another_flight_or_seed_others():
 
 
 def test_faults_of_a_flight_end_within_it_and_are_safe_ones():
-    names = set()
-    for number in range(1, 60):
-        events = faults_of(number)
-        assert events
-        ends_s = [event.start_s + event.duration_s for event in events]
-        assert all(before < event.start_s for before, event in zip(ends_s, events[1:]))
-        assert max(ends_s) <= 40.0 and min(event.start_s for event in events) > 3.0
-        for event in events:
-            assert "breach" not in event.settings.safe
-            assert (event.vehicle in VEHICLES) is event.settings.per_vehicle
-        names.update(event.fault for event in events)
-    assert len(names) > 20
+    events = []
+    for number in range(1, 80):
+        flight = faults_of(number)
+        assert flight
+        ends_s = [event.start_s + event.duration_s for event in flight]
+        assert all(before < event.start_s for before, event in zip(ends_s, flight[1:]))
+        assert max(ends_s) <= 40.0 and min(event.start_s for event in flight) > 3.0
+        events += flight
+    for event in events:
+        assert "breach" not in event.settings.safe
+        assert (event.vehicle in VEHICLES) is event.settings.per_vehicle
+    assert len({event.fault for event in events}) > 20
+    of_programs = [event for event in events if event.program]
+    assert 0.08 < len(of_programs) / len(events) < 0.25
+    assert {event.fault for event in of_programs} == set(script.OF_PROGRAMS)
+    assert {event.program for event in of_programs} == set(PARAMS.programs.names)
+    stops_s = [event.duration_s for event in of_programs if event.fault == script.STOP]
+    assert 0.1 <= min(stops_s) < max(stops_s) <= 3.0
 
 
 def test_a_script_flies_as_a_file_of_faults(tmp_path):
-    events = faults_of(3)
+    events = next(flight for flight in map(faults_of, range(1, 99)) if any(event.program for event in flight))
     (tmp_path / "faults.yaml").write_text(script.file_text(events))
     assert load_faults(tmp_path / "faults.yaml") == events
 
 
 def test_wanted_faults_are_drawn_alone_and_wrong_names_are_named():
-    card = plan.load_params()
-    assert script.names_of(("wind", "jump"), (), card) == ["wind", "jump"]
-    assert "wind" not in script.names_of((), ("wind",), card)
-    assert {event.fault for event in faults_of(1, names=["wind"], duration_s=60.0)} == {"wind"}
-    for wanted, left_out in ((("fire",), ()), ((), ("fire",))):
-        with pytest.raises(ValueError, match="unknown fault 'fire'; known faults are: .*wind"):
-            script.names_of(wanted, left_out, card)
+    assert script.deck_of(("wind", "jump"), PARAMS, CARD)[:2] == (("wind", "jump"), ())
+    wind = script.deck_of(("wind",), PARAMS, CARD)
+    assert {event.fault for event in faults_of(1, deck=wind, duration_s=60.0)} == {"wind"}
+    kills = script.deck_of(("node_kill",), PARAMS, CARD)
+    assert {event.fault for event in faults_of(1, deck=kills)} == {"node_kill"}
+    without = SoakParams(leave_out=("wind", "node_kill"))
+    left = script.deck_of((), without, CARD)
+    assert "wind" not in left.names and left.of_programs == ("node_stop",)
+    assert script.deck_of((), SoakParams(programs=ProgramFaultParams(names=())), CARD).of_programs == ()
+    for wanted, params in ((("fire",), PARAMS), ((), SoakParams(leave_out=("fire",)))):
+        with pytest.raises(ValueError, match="unknown fault 'fire'; known faults are: .*wind.*node_kill"):
+            script.deck_of(wanted, params, CARD)
     with pytest.raises(ValueError, match="no fault is left"):
-        script.names_of(("wind",), ("wind",), card)
-    assert all("breach" not in fault_settings(name).safe for name in script.names_of((), (), card))
+        script.deck_of(("wind",), without, CARD)
+    assert all("breach" not in event.settings.safe for event in ALL.samples)
 
 
 # ------------------------------------------------------------------ drift
@@ -188,11 +202,11 @@ def test_a_crash_is_a_violation_unless_a_fault_allows_it():
 
 
 def test_a_process_that_ends_is_a_violation_unless_it_was_killed_on_purpose():
-    expected = {"/controller": (10, 1.5), "/operator": (11, 1.7)}
-    assert invariants.gone(expected, {(10, 1.5), (11, 1.7), (12, 9.0)}, ()) is None
-    found = invariants.gone(expected, {(11, 1.7), (10, 99.0)}, ())  # another one with its process id
+    assert invariants.gone([]) is None and invariants.gone([("/controller", 10, True)]) is None
+    found = invariants.gone([("/controller", 10, False), ("/operator", 11, True)])
     assert found.invariant == "process" and "/controller (process 10)" in found.text and "operator" not in found.text
-    assert invariants.gone(expected, {(11, 1.7)}, {"/controller"}) is None
+    assert invariants.not_back({"/operator": LIMITS.back_s}, LIMITS) is None
+    assert "/operator: killed" in invariants.not_back({"/operator": LIMITS.back_s + 1.0}, LIMITS).text
 
 
 def test_a_fleet_that_does_not_take_off_again_is_a_violation():
@@ -302,21 +316,20 @@ def test_a_real_process_that_takes_more_and_more_is_found_among_those_that_do_no
 
 def test_a_real_process_that_ends_is_missed_and_its_successor_is_another_one(toys):
     toy, _other = toys("toy"), toys("toy")
-    processes = Processes(toys.identity)
+    processes, nobody = Processes(toys.identity), frozenset()
     processes.look(0.0)
     processes.expect()
-    assert set(processes.expected) == {OURSELVES, "toy", "toy 2"}
-    assert invariants.gone(processes.expected, processes.alive, ()) is None
+    assert set(processes.expected) == {OURSELVES, "toy", "toy 2"} and processes.ended(nobody) == []
     toy.process.kill()
-    assert wait_until(lambda: invariants.gone(processes.expected, processes.alive, ()) is not None, 20.0)
-    violation = invariants.gone(processes.expected, processes.alive, ())
-    name = "toy" if "toy (" in violation.text else "toy 2"
-    assert "process %d" % toy.process.pid in violation.text
+    assert wait_until(lambda: processes.ended(nobody), 20.0)
+    ((name, pid, killed),) = processes.ended(nobody)
+    assert (pid, killed, name in ("toy", "toy 2")) == (toy.process.pid, False, True)
+    assert processes.ended({pid}) == [(name, pid, True)]
+    assert processes.ended({os.getpid()}) == [(name, pid, True)], "what a killed one had started ends with it"
     assert not processes.replace(name)
     toys("toy")
     processes.find(60.0)
-    assert invariants.gone(processes.expected, processes.alive, ()) is not None
-    assert processes.replace(name) and invariants.gone(processes.expected, processes.alive, ()) is None
+    assert processes.ended(nobody) and processes.replace(name) and processes.ended(nobody) == []
 
 
 # ------------------------------------------------------------------ tables
@@ -325,6 +338,7 @@ def test_a_real_process_that_ends_is_missed_and_its_successor_is_another_one(toy
 def fault(name, outcome="completed", safe=True, **reactions_ms):
     return {
         "name": name, "args": "1", "outcome": outcome, "safe": safe, "reactions_ms": reactions_ms, "flying": 2,
+        "program": "",
     }  # fmt: skip
 
 
@@ -344,6 +358,8 @@ def test_faults_of_several_soaks_add_up(tmp_path, capsys):
     first = [fault("jump", risc1=100.0, risc2=200.0), fault("wind", outcome="held")]
     second = [fault("jump", outcome="landed", safe=False, risc1=300.0), fault("jump") | {"flying": 0}]
     folders = [write(tmp_path / "a", first), write(tmp_path / "b", second, tail='{"time": "2')]
+    kill = fault("node_kill") | {"program": "controller"}
+    assert [row["fault"] for row in table.rows_of([kill, kill])] == ["node_kill:controller"]
     row, wind = table.rows_of(table.read(folders[0]) + table.read(folders[1]))
     assert (row["fault"], row["events"], row["reactions"], row["p50_ms"], row["max_ms"]) == ("jump", 2, 3, 200.0, 300.0)
     assert (row["outcomes"], row["unsafe"]) == ({"completed": 1, "landed": 1}, 1)
@@ -371,6 +387,7 @@ def test_a_folder_that_is_no_soaks_is_named(tmp_path, capsys):
         (["soon"], "invalid number value: 'soon'"),
         (["1", "--table", "x"], "say how many HOURS"),
         (["1", "--faults", "fire"], "unknown fault 'fire'"),
+        (["1", "--faults", ",,"], "needs at least one name"),
         (["1", "--duration", "6"], "no fault fits"),
         (["1", "--controller", "none"], "--controller: unknown name 'none'"),
         (["1", "--settings", "/nowhere.yaml"], "/nowhere.yaml"),

@@ -129,6 +129,22 @@ def test_of_a_fault_is_told_how_many_flew_when_it_began(flight):
     assert judged["faults"][0]["flying"] == 1 and judged["reasons"] == ["risc2 landed"], "it left before the fault"
 
 
+def test_references_that_end_early_say_nothing_about_where_vehicles_are_at_the_end(flight):
+    whole = flight(*happened())
+    with rosbag.Bag(str(whole / BAG)) as bag:
+        rows = list(bag.read_messages())
+    with rosbag.Bag(str(whole / BAG), "w") as bag:
+        for topic, message, time in rows:
+            if topic != "/trajectory" or time < at(10.0):
+                bag.write(topic, message, time)
+    assert judge_flight(whole, 1, "")["reasons"] == []
+    with rosbag.Bag(str(whole / BAG), "w") as bag:
+        for topic, message, time in rows:
+            if time < at(12.0):
+                bag.write(topic, message, time)
+    assert any("was still 1.00 m up" in reason for reason in judge_flight(whole, 1, "")["reasons"])
+
+
 def test_the_program_writes_what_it_found_and_names_a_bag_that_is_none(flight, capsys):
     folder = flight(*happened())
     assert main([str(folder), "--asked", "1"]) == 0

@@ -40,6 +40,10 @@ def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespa
     for name, vehicle in flight.vehicles.items():
         suffered = bool(faults) and _suffered(namespaces.get(name, name), faults)
         reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena, suffered)]
+        # references may have ended before the flight did
+        height_m = flight.paths[name].values[-1, 2] if name in flight.paths else vehicle.actual_m[-1, 2]
+        if vehicle.course.any() and height_m > limits.landed_height_m:
+            reasons.append("%s: was still %.2f m up at the end" % (name, height_m))
         if with_cameras and not suffered:
             reasons += ["%s: %s" % (name, reason) for reason in _judge_bearings(name, flight.bearings, limits)]
     return reasons
@@ -100,8 +104,6 @@ def _judge_vehicle(vehicle, limits, arena, suffered):
         return
     if not suffered:
         yield from _judge_path(vehicle, limits, arena)
-    if vehicle.actual_m[-1, 2] > limits.landed_height_m:
-        yield "was still %.2f m up at the end" % vehicle.actual_m[-1, 2]
 
 
 def _judge_path(vehicle, limits, arena):

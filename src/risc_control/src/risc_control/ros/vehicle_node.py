@@ -95,7 +95,9 @@ class VehicleNode:
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
-        self._held_until_s = {}  # {vehicle of another node that holds or lands it: how long that counts}
+        others = [v for v in everybody if self._separation.asks and v.template not in self._by_name]
+        # how long it counts that another node holds or lands its vehicle
+        self._held_until_s = {vehicle.template: -math.inf for vehicle in others}
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
             kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
@@ -113,10 +115,9 @@ class VehicleNode:
         rospy.on_shutdown(self._on_shutdown)
         for vehicle in self._vehicles:
             vehicle.listen()
-        for other in everybody if self._separation.asks else ():
-            if other.template not in self._by_name:
-                heard = partial(self._on_safety_of, other.template)
-                rospy.Subscriber("/%s/safety" % other.namespace, Safety, heard, queue_size=1, tcp_nodelay=True)
+        for other in others:
+            heard = partial(self._on_safety_of, other.template)
+            rospy.Subscriber("/%s/safety" % other.namespace, Safety, heard, queue_size=1, tcp_nodelay=True)
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
@@ -187,7 +188,7 @@ class VehicleNode:
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             if self._separation.asks:
                 own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
-                self._separation.tell(own | {name for name, s in tuple(self._held_until_s.items()) if now_s < s})
+                self._separation.tell(own | {name for name, s in self._held_until_s.items() if now_s < s})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:

@@ -24,6 +24,7 @@ class _Act:
         self.record, self.event = record, event
         self.member = REGISTRY.module(event.fault).make(event.severity, np.random.default_rng(0))
         self.program = None  # from its begin on
+        self.over = False
 
     def call(self, what):
         """Call begin or end where the member has it."""
@@ -40,7 +41,8 @@ class ProgramFaults:
         self._identity = identity
         self._publisher = rospy.Publisher(TOPIC, Faults, queue_size=100, latch=True)
         self._acts, self._due = [], []  # all; heap of (monotonic time, number, what to do)
-        self._numbers = itertools.count()
+        self._numbers, self._ids = itertools.count(), itertools.count(1)
+        self._killed = set()  # process ids
         self._changed = threading.Condition()
         threading.Thread(target=self._run, name="program faults", daemon=True).start()
 
@@ -53,10 +55,11 @@ class ProgramFaults:
         """Let FaultEvents happen, counted from now."""
         now_s, now = time.monotonic(), rospy.Time.now()
         with self._changed:
+            self._acts = [act for act in self._acts if not act.over]  # those of flights before are told no longer
             for event in events:
                 begins = now + rospy.Duration.from_sec(event.start_s)
                 safe = list(event.settings.safe)
-                number, ends = len(self._acts) + 1, rospy.Time()  # without end, until it is known
+                number, ends = next(self._ids), rospy.Time()  # without end, until it is known
                 record = FaultRecord(number, event.fault, event.args, "", begins, ends, False, safe)
                 self._acts.append(_Act(record, event))
                 self._plan(now_s + event.start_s, self._begin, self._acts[-1])
@@ -67,6 +70,7 @@ class ProgramFaults:
         with self._changed:
             self._due.clear()
             for act in self._acts:
+                act.over = True
                 if act.record.active:
                     self._end(act)
 
@@ -75,6 +79,12 @@ class ProgramFaults:
         """FaultEvents that act now."""
         with self._changed:
             return [act.event for act in self._acts if act.record.active]
+
+    @property
+    def killed(self):
+        """Process ids of those that were killed."""
+        with self._changed:
+            return frozenset(self._killed)
 
     def _plan(self, time_s, work, act):
         heapq.heappush(self._due, (time_s, next(self._numbers), work, act))
@@ -103,6 +113,7 @@ class ProgramFaults:
         act.call("begin")
         self._tell()
         if act.program.killed:
+            self._killed.add(act.program.process.pid)
             self._plan(now_s + _AGAIN_S, self._look_for_another, act)
         elif event.duration_s < math.inf:
             act.record.ends = act.record.begins + rospy.Duration.from_sec(event.duration_s)
@@ -120,6 +131,7 @@ class ProgramFaults:
 
     def _end(self, act, at=None):
         act.call("end")
+        act.over = True
         act.record.ends, act.record.active = at or rospy.Time.now(), False
         self._tell()
 

@@ -7,12 +7,13 @@ import rospy
 from rosgraph_msgs.msg import Log
 from std_srvs.srv import Trigger
 
+from data_extraction.report.faults import FAULT_TOPICS
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 from risc_experiments.ros.watch import Watch
 from risc_maap_msgs.msg import Crash, Faults, VehicleStatus
 from risc_maap_msgs.srv import InjectFault, PutBack
 
 CALL_PATIENCE_S = 5.0
-_FAULTS = ("/virtual_lab/faults",)
 
 
 class SoakWatch(Watch):
@@ -24,12 +25,12 @@ class SoakWatch(Watch):
     """
 
     def __init__(self, namespaces):
-        self.out, self.batteries_pct, self.safe = {}, {}, None
+        self.out, self.batteries_pct, self.safe, self._states = {}, {}, None, {}
         self.crashes, self.errors = collections.deque(), collections.deque(maxlen=1000)
         self._over, self._newest = {}, {}  # by topic: id of the newest fault of flights before, of all
         super().__init__()
         rospy.Subscriber("/virtual_lab/crash", Crash, self.crashes.append, queue_size=100, tcp_nodelay=True)
-        for topic in _FAULTS:
+        for topic in FAULT_TOPICS:
             rospy.Subscriber(topic, Faults, self._on_faults, topic, queue_size=100, tcp_nodelay=True)
         rospy.Subscriber("/rosout_agg", Log, self._on_log, queue_size=1000, tcp_nodelay=True)
         for name in namespaces:
@@ -50,7 +51,12 @@ class SoakWatch(Watch):
             self.errors.append((message.name, message.msg))
 
     def _on_status(self, message, name):
-        self.batteries_pct[name] = message.battery_pct
+        self.batteries_pct[name], self._states[name] = message.battery_pct, message.state
+
+    @property
+    def in_flight(self):
+        """Namespaces of vehicles that said last that they are in the air."""
+        return [name for name, state in self._states.items() if state not in ON_GROUND and state not in NO_EVIDENCE]
 
     def begin_flight(self):
         """Faults that began up to now are of the flights before."""

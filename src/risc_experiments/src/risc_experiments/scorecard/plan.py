@@ -192,8 +192,8 @@ def random_fault(names, params, rng):
     name = names[rng.integers(len(names))]
     settings = fault_settings(name)
     values = settings.grades.values()
-    argument = _between(min(values), max(values), rng)
-    return _event(name, settings, argument, _between(*params.duration_s, rng), always=True)
+    argument = between_log(min(values), max(values), rng)
+    return _event(name, settings, argument, between_log(*params.duration_s, rng), always=True)
 
 
 def _event(name, settings, argument, duration_s, always=False):
@@ -206,7 +206,7 @@ def _event(name, settings, argument, duration_s, always=False):
     return FaultEvent(name, severity=argument, duration_s=min(max(duration_s, low_s), high_s))
 
 
-def _between(low, high, rng):
+def between_log(low, high, rng):
     """A number between, evenly on a logarithmic scale where there is one."""
     if low <= 0.0:
         return float(rng.uniform(low, high))

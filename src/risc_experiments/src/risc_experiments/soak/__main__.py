@@ -52,7 +52,10 @@ def arguments(argv):
 
 
 def _names(text):
-    return tuple(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
+    names = tuple(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
+    if not names:
+        raise argparse.ArgumentTypeError("needs at least one name")
+    return names
 
 
 def flight_of(args, params, error):
@@ -78,18 +81,18 @@ def main(argv=None):
         params = load_params(args.settings)
         if args.duration is not None:
             params = replace(params, duration_s=args.duration)
-        card = plan.load_params()
-        names = script.names_of(args.faults, params.leave_out, card)
-        script.check(names, params.duration_s, card)
+        deck = script.deck_of(args.faults, params, plan.load_params())
+        script.check(deck, params.duration_s)
         flight = flight_of(args, params, parser.error)
         folder = fly.prepare_folder(args, "soak", table.RECORD)
     except (fly.FlightError, ValueError, OSError) as error:
         parser.error(str(error))
     fly.handle_signals(lambda *_: interrupted.set())
     progress.say(
-        "soak of %g h, seed %d, %d kinds of faults; results in %s" % (args.hours, args.seed, len(names), folder)
+        "soak of %g h, seed %d, %d kinds of faults; results in %s"
+        % (args.hours, args.seed, len(deck.names) + len(deck.of_programs), folder)
     )
-    soak = Soak(args, flight, params, names, card, folder, progress, interrupted)
+    soak = Soak(args, flight, params, deck, folder, progress, interrupted)
     try:
         soak.carry_out()
         if soak.too_slow:

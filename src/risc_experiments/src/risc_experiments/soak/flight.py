@@ -13,6 +13,7 @@ from data_extraction.flight_metrics import FlightCollector, percentiles_ms
 from data_extraction.report.faults import FaultCollector
 from risc_experiments.judge import judge, never_began, unsafe
 from risc_lab.lab import load_fleet
+from risc_simulator.faults import parse_fault
 
 BAG, JUDGED, FAULTS, FLEET = "flight.bag", "judged.json", "faults.yaml", "fleet.yaml"  # in the folder of a flight
 _LEFT_OUT = ("/mocap_data", "/controls", "/cortex_raw")  # nothing here needs them, and they are many
@@ -58,6 +59,7 @@ def judge_flight(folder, asked, failure):
         "faults": [
             {
                 **figures,
+                "program": parse_fault(outcome.text).program,
                 "flying": sum(
                     name not in found.out or found.out[name].time_s > outcome.begin_s for name in namespaces.values()
                 ),

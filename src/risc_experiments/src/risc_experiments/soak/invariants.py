@@ -59,18 +59,19 @@ def crash(vehicle, reason, safe):
     return Violation("crash", "%s %s, and no fault of this flight allows that" % (vehicle, reason))
 
 
-def gone(expected, alive, killed):
-    """Violation of a process that has ended; None.
+def gone(ended):
+    """Violation of processes that nobody was to end; None. ended: of `Processes.ended`."""
+    wrong = ["%s (process %d)" % (name, pid) for name, pid, killed in ended if not killed]
+    return Violation("process", "%s: ended, and nobody was to end it" % ", ".join(wrong)) if wrong else None
 
-    expected: {name: (process id, when it was started)}.  alive: set of the latter.  killed: names of those that were
-    killed on purpose a while ago, and are being started again.
-    """
-    ended = [(name, pid) for name, (pid, start_s) in expected.items() if (pid, start_s) not in alive]
-    ended = [(name, pid) for name, pid in ended if name not in killed]
-    if not ended:
+
+def not_back(missing_s, limits):
+    """Violation of processes that were killed and do not run again; None. missing_s: {name: for how long}."""
+    names = [name for name, time_s in sorted(missing_s.items()) if time_s > limits.back_s]
+    if not names:
         return None
-    text = ", ".join("%s (process %d)" % item for item in ended)
-    return Violation("process", "%s: ended, and nobody was to end it" % text)
+    text = "%s: killed by a fault, and not started again within %g s"
+    return Violation("process", text % (", ".join(names), limits.back_s))
 
 
 def not_ready(waited_s, why, limits):

@@ -126,7 +126,8 @@ def slope(drift):
     """Text of a drift."""
     if drift["slope"] is None:
         return "–"
-    return "%+.1f (%+.1f to %+.1f)" % (drift["slope"], drift["low"], drift["high"])
+    values = drift["slope"], drift["low"], drift["high"]
+    return "%+.1f (%+.1f to %+.1f)" % values if any(values) else "0"
 
 
 def _number(value, digits):
@@ -146,10 +147,11 @@ def facts(result):
         ("flown", "%.2f h of %g h, %d flights judged" % (result["flown_h"], result["asked_h"], len(result["flights"]))),
         ("faults", "%d%s" % (events, " (%s)" % outcomes if outcomes else "")),
         ("put back", "vehicles %d times" % put_back),
-        ("frame to command", "p50 %s ms, p99 %s ms; first %s, %s; p99 per hour %s ms"
-         % (*newest, *first, slope(latency_ms["p99"]))),
+        ("frame to command", "p50 %s ms, p99 %s ms; at first %s, %s" % (*newest, *first)),
         ("reactions", "p50 %s, p99 %s, largest %s ms" % tuple(reactions)),
     ]  # fmt: skip
+    if latency_ms["p99"]["slope"] is not None:
+        told.append(("frame to command, p99, per hour", "%s ms" % slope(latency_ms["p99"])))
     if late_ms is not None:
         text = "p50 %.1f, p99 %.1f, largest %.1f ms late; stood still %d times, %d frames left out"
         values = (

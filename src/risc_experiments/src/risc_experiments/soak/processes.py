@@ -27,8 +27,10 @@ class Look(NamedTuple):
 class Process:
     """A process, and how it has changed."""
 
-    def __init__(self, name, process, time_s):
-        self.name, self.since_s = name, time_s
+    def __init__(self, name, program, process, time_s):
+        """program: what several processes may be called.  name: what only this one is among those that live."""
+        self.name, self.program, self.since_s = name, program, time_s
+        self.parent = process.ppid()
         self.key = process.pid, process.create_time()
         self.track = Track(*Look._fields, "cpu_cores")
         self.newest = None
@@ -87,7 +89,7 @@ class Processes:
                 key = pid, process.create_time()
                 if key not in self._known:
                     name = OURSELVES if pid == os.getpid() else program_name(process)
-                    self._known[key] = Process(self._new_name(name), process, time_s)
+                    self._known[key] = Process(self._new_name(name), name, process, time_s)
 
     def _new_name(self, name):
         """One that no living process has: the second is called "NAME 2"."""
@@ -107,12 +109,24 @@ class Processes:
         """Those that live now have to live until the end."""
         self.expected = {process.name: process.key for process in self.living}
 
+    def ended(self, killed):
+        """[(name, process id, whether it was killed)] of those that had to live and do not.
+
+        killed: process ids of those that were killed on purpose; what these had started ends with them.
+        """
+        alive = self.alive
+        gone = [(name, self._known[key]) for name, key in self.expected.items() if key not in alive]
+        return [(name, process.key[0], not killed.isdisjoint((process.key[0], process.parent)))
+                for name, process in gone]  # fmt: skip
+
     def replace(self, name):
         """One that was killed on purpose and has a successor: that one has to live from now on. Returns whether."""
-        key = next((process.key for process in self.living if process.name == name), None)
-        if key is None or key == self.expected.get(name):
+        program, taken = self._known[self.expected[name]].program, set(self.expected.values())
+        successor = next((item for item in self.living if item.program == program and item.key not in taken), None)
+        if successor is None:
             return False
-        self.expected[name] = key
+        del self.expected[name]
+        self.expected[successor.name] = successor.key
         return True
 
     @property

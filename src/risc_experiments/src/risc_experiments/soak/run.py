@@ -25,11 +25,11 @@ from risc_experiments.soak.processes import Processes
 from risc_experiments.soak.table import RECORD
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, wait_until
-from risc_simulator.faults import FaultEvent
 
 LOOK_S = 0.2  # how often all is looked at
 SIGN_S = 3.0  # for what was asked for to show
 RECORDER_S = 30.0  # for a recorder to start, to end
+ON_GROUND_S = 15.0  # for all vehicles to say that they stand, once the flight is over
 PUT_BACK_S = 20.0  # for a vehicle to be put back
 JUDGE_S = 300.0  # for the bag of a flight to be judged
 STARTING_S = 120.0  # for all nodes to start
@@ -144,13 +144,10 @@ class Judge:
 class Soak:
     """All that a soak knows. `carry_out` flies; what came of it stays here for `output`."""
 
-    def __init__(self, args, flight, params, names, card, folder, progress, interrupted):
-        """args: of soak.__main__.  flight: its options as `fly.options` has them.  names: faults to be drawn.
-
-        card: ScorecardParams, which say how.
-        """
+    def __init__(self, args, flight, params, deck, folder, progress, interrupted):
+        """args: of soak.__main__.  flight: its options as `fly.options` has them.  deck: script.Deck."""
         self.args, self.flight, self.params, self.folder = args, flight, params, folder
-        self.names, self.card = names, card
+        self.deck = deck
         self.record = Record(folder)
         self.duration_s = 3600.0 * args.hours
         self.began = datetime.datetime.now().astimezone()
@@ -163,7 +160,8 @@ class Soak:
         self.latencies = Track("p50_ms", "p99_ms")
         self.number = 0  # of the flight
         self._progress, self._interrupt = progress, interrupted
-        self._launch = self._recorder = self._watch = self._log = None
+        self._launch = self._recorder = self._watch = self._log = self._programs = None
+        self._missing_s = {}  # processes that were killed -> since when nobody does what they did
         self._judge = Judge()
         self.began_s = None  # of the record's time, when the first flight took off
         self._sample_s = self._line_s = self._check_s = 0.0
@@ -214,7 +212,7 @@ class Soak:
     def _start(self, reservation):
         fleet = fly.prepare_fleet(self.flight, reservation.subnet, self.folder)
         self._vehicles = [vehicle.namespace for vehicle in fleet.vehicles]
-        fly.check_faults([FaultEvent(name) for name in self.names], fleet, self.args.seed)
+        fly.check_faults(list(self.deck.samples), fleet, self.args.seed)
         write_flight(self.flight, fleet, fly.ROOT, self.folder)
         self._port = free_tcp_port()
         os.environ.update(ROS_MASTER_URI="http://127.0.0.1:%d" % self._port, ROS_IP="127.0.0.1")
@@ -223,9 +221,11 @@ class Soak:
         self._launch = Launch(launch_file, arguments, self.folder, self._port, reservation)
         self._log = LogFollower(self._launch.log_path)
         fly.wait_for_master(self._launch, self._port, self._interrupt)
-        from risc_experiments.ros.soak_watch import SoakWatch  # rospy is to see the environment of this graph
+        from risc_experiments.ros.program_faults import ProgramFaults  # rospy is to see the environment of this graph
+        from risc_experiments.ros.soak_watch import SoakWatch
 
         self._watch = SoakWatch(self._vehicles)
+        self._programs = ProgramFaults(self._launch.identity)
         self.processes = Processes(self._launch.identity)
         self._headroom = None
         if self.flight.mocap_rate is None or fly.tried_rates():
@@ -236,7 +236,7 @@ class Soak:
         """What is flown, for the record."""
         return {
             "command": self.args.command, "seed": self.args.seed, "hours": self.args.hours, "vehicles": self._vehicles,
-            "faults": self.names, "mocap_rate_hz": self.flight.mocap_rate,
+            "faults": [*self.deck.names, *self.deck.of_programs], "mocap_rate_hz": self.flight.mocap_rate,
         }  # fmt: skip
 
     def _note(self, stop):
@@ -251,9 +251,9 @@ class Soak:
             return
         self._progress.say("landing all vehicles")
         self._interrupt.clear()
+        self._end_faults()
         if self._watch.land():
             wait_until(self._has_landed, LAND_S)
-            self._watch.end_faults()
 
     def _has_landed(self):
         """Or nobody can wait for that any longer."""
@@ -262,6 +262,8 @@ class Soak:
     def _end(self):
         """End all programs, and look at the flight that was cut short."""
         self._interrupt.clear()
+        if self._programs is not None:
+            self._programs.end_all()  # one that hangs does not end
         with contextlib.suppress(EndError):
             try:
                 self._stop_recording(None)
@@ -288,9 +290,7 @@ class Soak:
         self.number += 1
         folder = self.folder_of(self.number)
         folder.mkdir(parents=True)
-        events = script.faults_of(
-            self.number, self.args.seed, self.names, self._vehicles, self.params.duration_s, self.card
-        )
+        events = script.faults_of(self.number, self.args.seed, self.deck, self._vehicles, self.params.duration_s)
         (folder / FAULTS).write_text(script.file_text(events), encoding="utf-8")
         self._events, self._injected = events, False
         self._record_into(folder)
@@ -344,7 +344,9 @@ class Soak:
                 self.processes.expect()
             if self._watch.on_course and not self._injected:
                 self._injected = True
-                self._watch.inject(self._events)
+                on_programs, in_the_lab = fly.by_place(self._events)
+                self._watch.inject(in_the_lab)
+                self._programs.start(on_programs)
             if self._injected and self._watch.fault_problem:
                 self._check(invariants.Violation("faults", self._watch.fault_problem))
             if waited_s > limit_s:
@@ -354,6 +356,10 @@ class Soak:
         """Before the very first take-off."""
         if not self._recorded_parameters and self._watch.operator_heard:
             self._recorded_parameters = True
+            try:
+                self._programs.check(fly.by_place(list(self.deck.samples))[0])
+            except LookupError as error:
+                raise fly.FlightError("faults of programs: %s" % error) from error
             try:
                 write_parameters(self._watch.parameters(), self.folder)
             except OSError as error:
@@ -367,9 +373,10 @@ class Soak:
     def _after(self):
         """The fleet is on the ground, or was to be: end what acts, and stand all at their starts that need it."""
         failure = self._watch.failure if self._watch.flight_failed else ""
-        problem = self._watch.end_faults()
+        problem = self._end_faults()
         if problem:
             raise EndError(invariants.Violation("faults", problem))
+        self._await_landings()
         self._stop_recording(failure)
         charges = self._watch.batteries_pct
         for name in self._vehicles:
@@ -380,6 +387,17 @@ class Soak:
                 self._put_back(name)
                 self.put_back[name] += 1
                 self.record.add("put_back", flight=self.number, vehicle=name, why=why)
+
+    def _await_landings(self):
+        """Of vehicles whose programs had died: the operator could do nothing more, and their ladders land them."""
+        end_s = time.monotonic() + ON_GROUND_S
+        while self._watch.in_flight and time.monotonic() < end_s:
+            self._tick("landing", ", ".join(self._watch.in_flight))
+
+    def _end_faults(self):
+        """Returns why that does not work; ""."""
+        self._programs.end_all()
+        return self._watch.end_faults()
 
     def _put_back(self, name):
         """One that was silent may still be landing."""
@@ -415,7 +433,7 @@ class Soak:
             raise EndError
         if not self._launch.running():
             self._check(invariants.Violation("process", "a node that the graph needs has died (see roslaunch.log)"))
-        if self._watch.operator_silent():
+        if self._watch.operator_silent(fly.HUNG_S + fly.SILENT_S if self._programs.acting else fly.SILENT_S):
             self._check(invariants.Violation("process", "the operator says nothing any more"))
         while self._watch.crashes:
             crash = self._watch.crashes.popleft()
@@ -433,7 +451,7 @@ class Soak:
             for text in self._log.tracebacks():
                 self.record.add("traceback", flight=self.number, text=text)
                 self._check(invariants.traceback(text))
-            self._check(invariants.gone(self.processes.expected, self.processes.alive, ()))
+            self._look_who_is_missing(now_s)
             self._check(invariants.disk(shutil.disk_usage(self.folder).free / 1e6, self.params.limits))
         if self.began_s is not None:
             if now_s >= self._sample_s:
@@ -444,6 +462,18 @@ class Soak:
                 self._progress.say(self.line())
                 self._check_growth()
 
+    def _look_who_is_missing(self, now_s):
+        ended = self.processes.ended(self._programs.killed)
+        self._check(invariants.gone(ended))
+        if not ended:
+            self._missing_s = {}
+            return
+        self.processes.find(now_s)  # who has come in their place
+        names = [name for name, _, _ in ended if not self.processes.replace(name)]
+        self._missing_s = {name: self._missing_s.get(name, now_s) for name in names}
+        waited_s = {name: now_s - since_s for name, since_s in self._missing_s.items()}
+        self._check(invariants.not_back(waited_s, self.params.limits))
+
     def _check(self, violation):
         if violation is not None:
             raise EndError(violation)
@@ -451,12 +481,14 @@ class Soak:
     def _sample(self, now_s):
         looks = self.processes.look(now_s)
         self.flown_s = now_s - self.began_s
-        cores = {process.name: process.cpu_cores for process in self.processes.living}
+        processes = {process.name: process for process in self.processes.known}  # of a name the newest
+        cores = {name: processes[name].cpu_cores for name in looks}
         sums = {name: sum(getattr(look, name) for look in looks.values()) for name in
                 ("pss_mb", "own_mb", "descriptors", "threads")}  # fmt: skip
-        self.totals.add(now_s, *sums.values(), sum(cores.values()))
+        self.totals.add(now_s, *sums.values(), sum(value for value in cores.values() if value == value))
         told = {
             name: {
+                "pid": processes[name].key[0],
                 **{key: round(value, 2) for key, value in look._asdict().items()},
                 "cpu_cores": round(cores[name], 4) if cores[name] == cores[name] else None,
             }

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from risc_lab.lab.yaml_reader import load_yaml, package_file
-from risc_lab.settings import Count, NotNegative, Positive, Settings, between, settings_from
+from risc_lab.settings import Count, Fraction, Name, NotNegative, Positive, Settings, between, settings_from
 
 LONGEST_WARM_UP = 1.0 / 3.0  # of the whole
 
@@ -22,7 +22,25 @@ class SoakLimits(Settings):
     latency_ms: NotNegative = 10.0
     lab_late_ms: Positive = 50.0
     ready_s: Positive = 60.0
+    back_s: Positive = 30.0
     free_disk_mb: NotNegative = 500.0
+
+
+@dataclass(frozen=True)
+class ProgramFaultParams(Settings):
+    """Faults of programs among the others."""
+
+    share: Fraction = 0.15
+    names: tuple[Name, ...] = (
+        *("mocap_client", "states_estimation", "controller", "trajectory"),
+        *("vehicle_node", "driver"),
+    )
+    stop_s: tuple[Positive, Positive] = (0.1, 3.0)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.stop_s[0] > self.stop_s[1]:
+            raise ValueError("'stop_s' is the least and the greatest")
 
 
 @dataclass(frozen=True)
@@ -31,6 +49,7 @@ class SoakParams(Settings):
 
     duration_s: between(5.0, 600.0) = 40.0
     leave_out: tuple[str, ...] = ()
+    programs: ProgramFaultParams = ProgramFaultParams()
     sample_s: Positive = 10.0
     line_s: Positive = 60.0
     warm_up_s: NotNegative = 600.0

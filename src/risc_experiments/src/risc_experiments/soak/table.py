@@ -32,10 +32,10 @@ def counted(faults):
 
 
 def rows_of(faults):
-    """Rows of dicts, one for each fault, by name. Reactions: of every vehicle, as its commands on the wire tell."""
+    """Rows of dicts, one for each fault and program, by name. Reactions: of every vehicle, as its commands tell."""
     by_name = {}
     for fault in faults:
-        by_name.setdefault(fault["name"], []).append(fault)
+        by_name.setdefault(":".join(filter(None, (fault["name"], fault["program"]))), []).append(fault)
     return [row_of(name, by_name[name]) for name in sorted(by_name)]
 
 
