@@ -70,7 +70,8 @@ class World:
             self.autonomous_s[vehicle] = time.monotonic()
 
     def _on_home(self, _request):
-        self.home_s = time.monotonic()
+        if any(self.autonomous_s.values()):  # as in the trajectory node: nobody obeys before
+            self.home_s = time.monotonic()
         return TriggerResponse(True, "")
 
     def _run(self):

@@ -268,6 +268,7 @@ def test_faults_that_do_not_happen_end_the_flight(monkeypatch, tmp_path, answers
             over.wait(60.0)
         return types.SimpleNamespace(success=False, message="no vehicle 'risc9'")
 
+    ask.close = lambda: None
     monkeypatch.setattr(rospy, "ServiceProxy", lambda *_, **__: ask)
     monkeypatch.setattr(module, "CALL_PATIENCE_S", 0.2)
     watch = module.Watch.__new__(module.Watch)

@@ -26,10 +26,14 @@ from ardrone_autonomy.keeper import Keeper
 
 flies, *addresses = sys.argv[1:]
 keeper = Keeper(addresses)
-print(keeper._process.pid, flush=True)
-while True:
+def note():
     for k in range(len(addresses)):
         keeper.note(k, time.monotonic(), True, flies == "True")
+
+note()
+print(keeper._process.pid, flush=True)
+while True:
+    note()
     time.sleep(0.01)
 """
 LIMIT_S = 20.0
