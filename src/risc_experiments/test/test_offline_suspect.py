@@ -13,7 +13,7 @@ from risc_control.plausibility import Plausibility
 from risc_estimation.pose_fit import PoseFitParams
 from risc_experiments import offline
 from risc_experiments.offline import Flight, fly
-from risc_simulator.faults import FaultEvent
+from risc_simulator.faults import FaultEvent, parse_fault
 from risc_simulator.models.mocap_cameras import MocapCameras
 
 FLIGHT = Flight("circle", vehicles=2, seed=3, duration_s=4.0)
@@ -104,3 +104,13 @@ def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
     options = {"gusts": True, "types": (kind,) * 2, "estimator": estimator, "wire_faults": (lost,)}
     fly(Flight("slanted8", vehicles=2, seed=2, duration_s=5.0, **options))
     assert len(looks) > 1000 and all(looks)
+
+
+@pytest.mark.parametrize(("lasts_s", "seed"), [(0.25, 2), (0.4, 1), (0.4, 4)])
+def test_a_velocity_made_of_false_places_is_not_flown_on(lasts_s, seed):
+    """A window still holds places of a short jump when the next ones agree: a vehicle that was braked by such a velocity
+    slid into its neighbour.
+    """
+    fault = parse_fault("jump:0.11,risc3,duration_s=%g@4.52" % lasts_s)
+    result = fly(Flight("circles3", seed=seed, duration_s=6.0, psi_deg=70.0 * seed, faults=(fault,)))
+    assert result.faults[0].outcome == "landed" and result.breaches == result.contacts == ()

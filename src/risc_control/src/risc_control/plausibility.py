@@ -45,7 +45,7 @@ _TEXTS = {
     Doubt.EXCHANGED: "seen where {other} was, and {other} where it was: motion capture has exchanged their names",
 }
 _POSITION, _VELOCITY, _TILT, _YAW, _FROZEN, _EXCHANGED = map(int, list(Doubt)[1:])  # for compiled code
-_AGREEING = 4  # steps: 67 ms at 60 looks a second
+_AGREEING = 12  # steps: 0.2 s at 60 looks a second. So long a velocity may still be made of false places
 _SAME_TIME_S = 1e-6
 _SET_BACK_S = 0.2  # stamps that fall back by more are those of another clock
 _GROW_S = 0.05  # the limits around where the last good state leads grow for so long only
