@@ -108,8 +108,8 @@ def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
 
 @pytest.mark.parametrize(("lasts_s", "seed"), [(0.25, 2), (0.4, 1), (0.4, 4)])
 def test_a_velocity_made_of_false_places_is_not_flown_on(lasts_s, seed):
-    """A window still holds places of a short jump when the next ones agree: a vehicle that was braked by such a velocity
-    slid into its neighbour.
+    """A window still holds places of a short jump when the next ones agree: braked by such a velocity, a vehicle slid
+    into its neighbour.
     """
     fault = parse_fault("jump:0.11,risc3,duration_s=%g@4.52" % lasts_s)
     result = fly(Flight("circles3", seed=seed, duration_s=6.0, psi_deg=70.0 * seed, faults=(fault,)))
