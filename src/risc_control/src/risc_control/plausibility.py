@@ -12,9 +12,10 @@ motion capture comes on top (`suspect_position_m` and others of `SafetyLimits`).
 the state before is no measurement: however still a vehicle is, its markers are measured anew.
 
 A state that contradicts is suspect, and so are those after it. They are believed again after `_AGREEING` steps in a row
-that do not contradict, when that track began where the vehicle can have come since the last state that was believed, or
-has come back near to where that one leads. A track that goes on elsewhere stays suspect until the vehicle must have
-landed (`separation_forget_s`); then it is believed, or nobody could ever fly the vehicle again.
+that do not contradict (`_SLOWLY` where their velocity has changed), when that track began where the vehicle can have
+come since the last state that was believed, or has come back near to where that one leads. A track that goes on
+elsewhere stays suspect until the vehicle must have landed (`separation_forget_s`); then it is believed, or nobody could
+ever fly the vehicle again.
 
 Times are stamps, of one clock.
 """
@@ -45,7 +46,8 @@ _TEXTS = {
     Doubt.EXCHANGED: "seen where {other} was, and {other} where it was: motion capture has exchanged their names",
 }
 _POSITION, _VELOCITY, _TILT, _YAW, _FROZEN, _EXCHANGED = map(int, list(Doubt)[1:])  # for compiled code
-_AGREEING = 12  # steps: 0.2 s at 60 looks a second. So long a velocity may still be made of false places
+_AGREEING = 4  # steps: 67 ms at 60 looks a second,
+_SLOWLY = 12  # where its velocity is another one than before: it may be made of false places for so long
 _SAME_TIME_S = 1e-6
 _SET_BACK_S = 0.2  # stamps that fall back by more are those of another clock
 _GROW_S = 0.05  # the limits around where the last good state leads grow for so long only
@@ -193,7 +195,11 @@ def _note(vehicle, state, stamp_s, noise, give_up_s):
         vehicle.agreeing += 1
     reach_s = min(since_s, vehicle.unseen_s + _GROW_S)
     elsewhere, misfit, most = _contradicts(vehicle.reach, vehicle.good, state, since_s, reach_s, noise)
-    if vehicle.agreeing >= _AGREEING and (vehicle.began_well or not elsewhere or since_s > give_up_s):
+    faster_m_s = 0.0
+    for axis in range(3):
+        faster_m_s = max(faster_m_s, abs(state[S.U + axis] - vehicle.good[S.U + axis]))
+    wanted = _AGREEING if faster_m_s < noise.velocity_m_s else _SLOWLY
+    if vehicle.agreeing >= wanted and (vehicle.began_well or not elsewhere or since_s > give_up_s):
         _believe(vehicle, state, stamp_s)
     elif elsewhere and vehicle.doubt != _EXCHANGED:
         vehicle.doubt, vehicle.misfit, vehicle.most = elsewhere, misfit, most
