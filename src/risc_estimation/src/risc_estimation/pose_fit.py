@@ -129,6 +129,7 @@ class Poses:
         # (n, 3) of the template's origin [m]; (n, 3) roll pitch yaw [rad] without jumps of whole turns, 0 of what is
         # attached
         self.position_m, self.angles_rad = bodies.measured
+        self._covariances_ = np.empty((len(bodies.table), 6, 6))
 
     @property
     def stamps_s(self):
@@ -160,20 +161,9 @@ class Poses:
 
         noise: of each coordinate of a marker, white: `marker_noise_m`, or, where that is 0, from the fit's residual.
         """
-        covariances = np.full((len(self.present), 6, 6), np.nan)
         bodies, here = self._bodies, self.present
-        used, fits = bodies.used[here], bodies.table[here]
-        arms = np.einsum("nij,nkj->nki", fits["rotation"], bodies.templates_m[here])
-        J = np.empty((*arms.shape, 6))
-        J[..., :3] = np.eye(3)
-        J[..., 3:] = np.cross(np.eye(3), arms[:, :, None]).swapaxes(2, 3)
-        variance_m2 = np.full(len(fits), self._marker_noise_m**2)
-        if self._marker_noise_m == 0.0:
-            count = used.sum(axis=1)
-            variance_m2 = fits["residual_m"] ** 2 * count / (3.0 * count - 6.0)
-        inverse = np.linalg.inv(np.einsum("nk,nkij,nkil->njl", used, J, J))
-        covariances[here] = variance_m2[:, None, None] * 0.5 * (inverse + inverse.swapaxes(1, 2))
-        return covariances
+        _covariances(bodies.table, bodies.templates_m, bodies.used, here, self._marker_noise_m, self._covariances_)
+        return self._covariances_.copy()
 
 
 class PoseFit:
@@ -385,6 +375,69 @@ def _locate(bodies, i, stamp_s, markers_m, fixed):
             turned = (phi, theta, psi)[axis] - angles_rad[axis]
             angles_rad[axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
     return True
+
+
+@compiled
+def _covariances(table, templates_m, used, present, noise_m, out):
+    """Fill out (bodies, 6, 6), see `Poses.covariances`: by template axes, in which R is 1, turned then."""
+    A, turned = np.empty((6, 12)), np.empty((6, 6))
+    for i in range(len(table)):
+        out[i] = np.nan
+        if not present[i]:
+            continue
+        A[:, :], count = 0.0, 0
+        for k in range(table[i].markers):
+            if used[i, k]:
+                count += 1
+                x, y, z = templates_m[i, k]
+                A[0, 4] += z
+                A[0, 5] -= y
+                A[1, 5] += x
+                A[3, 3] += y * y + z * z
+                A[4, 4] += x * x + z * z
+                A[5, 5] += x * x + y * y
+                A[3, 4] -= x * y
+                A[3, 5] -= x * z
+                A[4, 5] -= y * z
+        A[1, 3], A[2, 3], A[2, 4] = -A[0, 4], -A[0, 5], -A[1, 5]
+        for j in range(3):
+            A[j, j] = count
+        variance_m2 = noise_m * noise_m
+        if noise_m == 0.0:
+            variance_m2 = table[i].residual_m ** 2 * count / (3.0 * count - 6.0)
+        for j in range(6):
+            A[j, 6 + j] = variance_m2
+            for k in range(j):
+                A[j, k] = A[k, j]
+        _solve(A)
+        R = table[i].rotation
+        for block in range(4):
+            j, k = 3 * (block // 2), 3 * (block % 2)
+            for row in range(3):
+                for column in range(3):
+                    total = 0.0
+                    for m in range(3):
+                        for n in range(3):
+                            total += R[row, m] * A[j + m, 6 + k + n] * R[column, n]
+                    turned[j + row, k + column] = total
+        for j in range(6):
+            for k in range(6):
+                out[i, j, k] = 0.5 * (turned[j, k] + turned[k, j])
+
+
+@compiled
+def _solve(A):
+    """Gauss and Jordan's elimination: A (n, m) = (S | B) becomes (1 | S^-1 B). S: symmetric, positive definite."""
+    n, m = A.shape
+    for i in range(n):
+        pivot = A[i, i]
+        for k in range(i, m):
+            A[i, k] /= pivot
+        for j in range(n):
+            if j != i and A[j, i] != 0.0:
+                factor = A[j, i]
+                for k in range(i, m):
+                    A[j, k] -= factor * A[i, k]
 
 
 @compiled

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_estimation.filters import make_filter, status_of
+from risc_estimation.filters import make_filter
 from risc_estimation.pose_fit import PoseFit
 from risc_lab.clock import ClockGuard, Step
 
-_LATE = 16  # frames
+_LATE = 128  # frames
 
 
 class FrameEstimate(NamedTuple):
@@ -53,15 +53,17 @@ class StatesEstimator:
     Which poses are believed is up to the pose fit; when a vehicle is visible, to the filter.
     """
 
-    def __init__(self, templates, params=None, vehicles=(), velocity_filter=None):
+    def __init__(self, templates, params=None, vehicles=(), velocity_filter=None, vehicle_types=None):
         """templates: dict name -> risc_lab.lab.templates.Template.   params: PoseFitParams.   vehicles: names listed
-        from the start on.   velocity_filter: a new `filters.VelocityFilter`; None: the default one.
+        from the start on.   velocity_filter: a new `filters.VelocityFilter`; None: the default one.   vehicle_types:
+        {name: VehicleType} of those of the fleet.
 
         Raises ValueError if a listed vehicle has no template, or that of a landmark, or if a template that is no
         landmark's has fewer than three markers.
         """
         self._filter = velocity_filter or make_filter()
-        self._fit = PoseFit(templates, params, self._filter.add_body)
+        types = vehicle_types or {}
+        self._fit = PoseFit(templates, params, lambda t: self._filter.add_body(t, types.get(t.name)))
         self._counts = EstimatorCounts(unknown=self._fit.unknown)
         self._stamps = ClockGuard()
         self._late = deque(maxlen=_LATE)  # frames that are late, or of a clock that was set: the next one tells
@@ -95,7 +97,7 @@ class StatesEstimator:
 
     def status(self):
         """[`filters.Status`] of all bodies in the newest frame."""
-        return status_of(self._fit.poses, self._filter.visible)
+        return self._filter.status(self._fit.poses)
 
     def covariances(self):
         """(vehicles, 12, 12) of the newest states; None if the filter does not know."""
@@ -127,6 +129,12 @@ class StatesEstimator:
             self._take(*self._late.popleft())
         landmark_names, landmarks_m = self._take(stamp_s, layout, markers_m)
         return self._estimate(self._filter.visible.copy(), landmark_names, landmarks_m)
+
+    def coast(self, stamp_s):
+        """FrameEstimate of a time [s] for which no frame has come; None if the filter goes on without nobody."""
+        if not stamp_s > self._stamps.newest_s > -math.inf or not self._filter.coast(stamp_s):
+            return None
+        return self._estimate(self._filter.visible.copy())._replace(stamp_s=stamp_s)
 
     def _take(self, stamp_s, layout, markers_m):
         landmarks = self._fit.update(stamp_s, layout, markers_m)

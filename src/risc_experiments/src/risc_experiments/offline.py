@@ -184,6 +184,7 @@ def fly(flight):
         replace(PoseFitParams().within(fleet.arena), **({} if flight.noise else {"frozen_frames": 0})),
         vehicles=names,
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
+        vehicle_types=dict(zip(names, vehicle_types)),
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
     wide_m = widest_pair_m(fleet.vehicles)
@@ -232,6 +233,8 @@ def fly(flight):
             if update is not None:
                 estimate, stamp_s, hears = update, frame_seen.time_s, True
         mocap.arrived.clear()
+        if not hears and (coasted := estimator.coast(time_s)):
+            estimate, stamp_s, hears = coasted, time_s, True
         states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
         if hears:
             seen = states.visible.tolist()

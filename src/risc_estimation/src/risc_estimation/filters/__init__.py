@@ -28,6 +28,7 @@ class Status(enum.IntEnum):
     SETTLING = 2  # seen, but not for long enough
     TRACKED = 3
     PREDICTED = 4  # no pose in this frame: the filter goes on without
+    SUSPECT = 5  # a pose that cannot be true: the filter goes on without
 
 
 class VelocityFilter:
@@ -43,8 +44,10 @@ class VelocityFilter:
         self.states = np.zeros((0, len(S)))  # (bodies, 12), columns `S`; the last known where not visible, first 0
         self.visible = np.zeros(0, dtype=bool)  # (bodies,) the states are those of the newest frame, and to fly by
 
-    def add_body(self, template):
-        """One more row. template: risc_lab.lab.templates.Template; of an attached body the attitude means nothing."""
+    def add_body(self, template, vehicle_type=None):
+        """One more row. template: risc_lab.lab.templates.Template; of an attached body the attitude means nothing.
+        vehicle_type: VehicleType of a vehicle of the fleet.
+        """
         self.states, self.visible = with_row(self.states), with_row(self.visible)
 
     def reset(self):
@@ -59,6 +62,10 @@ class VelocityFilter:
         """
         raise NotImplementedError
 
+    def coast(self, stamp_s):
+        """Bring states and visible to a time for which no frame has come. Whether it can; the default cannot."""
+        return False
+
     def on_board(self, row, stamp_s, what, values):
         """Take what does not come from motion capture, in the order of arrival. Asked for by ON_BOARD.
 
@@ -66,6 +73,10 @@ class VelocityFilter:
         next frame; values: array, of a COMMAND as `risc_maap_msgs/CommandSent`: what roll, pitch [rad], climb loop and
         yaw rate [rad/s] settle at, in force until the next; else as in `risc_estimation.sensors`.
         """
+
+    def status(self, poses):
+        """List of Status of the bodies in the newest frame, whose `Poses` these are."""
+        return status_of(poses, self.visible)
 
     def covariances(self):
         """(bodies, 12, 12) of the states; None if it does not know. Called only when somebody asks.

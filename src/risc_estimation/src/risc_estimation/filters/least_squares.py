@@ -57,7 +57,7 @@ class Filter(VelocityFilter):
         self._collect()
         _update(0.0, np.zeros((2, 0), dtype=bool), np.zeros((2, 0, 3)), *self._arguments)  # loads the compiled code
 
-    def add_body(self, template):
+    def add_body(self, template, vehicle_type=None):
         super().add_body(template)
         self._windows.add_body()
         self._collect()
