@@ -18,10 +18,14 @@ STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
 
 
 class Iris:
-    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9."""
+    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9.  quicker: of its
+    attitude loops.  level_rad: of roll and pitch, by which its level is wrong;  wind_m_s2: what the air does, cortex
+    frame.
+    """
 
-    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05):
+    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05, quicker=1.0, level_rad=(0.0, 0.0), wind_m_s2=(0.0, 0.0)):
         self.more, self.battery_pct, self._delay_s = more, battery_pct, delay_s
+        self.quicker, self.level_rad, self.wind_m_s2 = quicker, level_rad, wind_m_s2
         self.position_m, self.velocity_m_s = [0.3, -0.2, REST_M], [0.0, 0.0, 0.0]
         self.angles_rad, self.rates_rad_s = [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]
         self.armed, self.mode, self.arms = False, "STABILIZE", True
@@ -69,8 +73,8 @@ class Iris:
         thrust_m_s2 = max(0.0, thrust_m_s2) if self.armed else 0.0
         phi, theta, psi = self.angles_rad
         for axis, wanted in enumerate((roll * IRIS.tilt_max_rad, pitch * IRIS.tilt_max_rad)):
-            wn, zeta = 15.0, 0.8
-            bends = wn * wn * (wanted - self.angles_rad[axis]) - 2.0 * zeta * wn * self.rates_rad_s[axis]
+            wn, zeta = 15.0 * self.quicker, 0.8
+            bends = wn * wn * (wanted + self.level_rad[axis] - self.angles_rad[axis]) - 2.0 * zeta * wn * self.rates_rad_s[axis]
             self.rates_rad_s[axis] += STEP_S * bends
             self.angles_rad[axis] += STEP_S * self.rates_rad_s[axis]
         self.rates_rad_s[2] += STEP_S * (turn * IRIS.yaw_rate_max_rad_s - self.rates_rad_s[2]) / 0.1
@@ -79,6 +83,7 @@ class Iris:
         north = math.cos(psi) * forward - math.sin(psi) * right
         east = math.sin(psi) * forward + math.cos(psi) * right
         pushes = north, -east, thrust_m_s2 * math.cos(phi) * math.cos(theta) - G
+        pushes = pushes[0] + self.wind_m_s2[0], pushes[1] + self.wind_m_s2[1], pushes[2]
         for axis, push_m_s2 in enumerate(pushes):
             self.velocity_m_s[axis] += STEP_S * (push_m_s2 - 0.2 * self.velocity_m_s[axis])
             self.position_m[axis] += STEP_S * self.velocity_m_s[axis]
@@ -101,7 +106,7 @@ class Desk:
             VehicleNodeParams(**{"joystick_timeout": 0.0, "preflight": False, **params}), IRIS, self.now_s
         )
         self.alive = {"state", "telemetry", "board", "radio", "node"}
-        self.look, self.fly = ALONE, fly
+        self.look, self.fly, self.sensors, self.seen = ALONE, fly, None, lambda own: own
         self.sent, self.said, self.states = [], [], []  # (time, Sticks); (time, level, text); FlightStates, in turn
         self.counts = dict.fromkeys(("takeoff", "land", "reset", "disarm"), 0)
         self._converter, self._step, self._joy = ControlsConverter([IRIS]), 0, None
@@ -141,7 +146,7 @@ class Desk:
     def _hear(self):
         pilot, now_s, own = self.pilot, self.now_s, self.iris.own()
         if self._step % 3 == 0 and "state" in self.alive:
-            pilot.on_state(own, LATENCY_S, now_s, self.look)
+            pilot.on_state(self.seen(own), LATENCY_S, now_s, self.look)
         if self.fly is not None and (command := self.fly(self)) is not None:
             controls, _ = self._converter(
                 Command(*(np.array([part]) for part in command)), np.array([True]), np.array([False])
@@ -151,6 +156,9 @@ class Desk:
             battery_pct = math.ceil(self.iris.battery_pct)
             self._converter.tell_battery(0, battery_pct, now_s)
             self.take(pilot.on_status(Status(self.iris.state, battery_pct), now_s))
+        if self.sensors is not None and self._step % 20 == 0 and "telemetry" in self.alive:
+            for status in self.sensors.heard(self.iris, now_s):
+                self.take(pilot.on_status(status, now_s))
         if self._step % 20 == 0 and "board" in self.alive:
             pilot.on_wire(now_s)
         if self._joy is not None and self._step % 10 == 0:

@@ -65,6 +65,9 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     preflight: bool = True  # no take-off before motion capture and what stands around are as a flight needs them
     preflight_markers: Count = 0  # so many of its markers must be seen before a take-off; 0: all of its template
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
+    # HOLD: the model is corrected by what it was wrong by before, and by the tilt and the height that the vehicle says
+    # to have; False: the model alone
+    hold_corrects: bool = True
 
     def rate_hz(self, vehicle_type):
         """At which a vehicle of a type is sent commands."""
@@ -236,12 +239,18 @@ class VehiclePilot:
         self.ladder.note_navdata(status.battery_pct, now_s)
         if status.velocity_m_s is not None and self._params.hold_auto_hover:
             self._braking.feel(status.velocity_m_s, now_s)
+        corrects, measured_s = self._params.hold_corrects, now_s - self._adapter.type.report_delay_s
+        if corrects and status.tilt_rad is not None:
+            self._braking.feel_tilt(status.tilt_rad, measured_s)
         if self._hover is None:
             self._note_state(status.state, orders, now_s)
             return orders
         if status.battery_pct is not None:
             self._adapter.tell_battery(status.battery_pct, now_s)
         self._hover.on_status(status, now_s)
+        if corrects and status.height_m is not None:
+            self._hover.feel_height(status.height_m, status.climb_m_s, measured_s, now_s)
+            self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
         self._note_hover(orders)
         return orders
 
@@ -300,7 +309,7 @@ class VehiclePilot:
         self._looks_s.append(now_s)
         self._state, self._unseen = own, False
         self._state_s = now_s - max(age_s, 0.0)
-        self._braking.see(own, self._state_s)
+        self._braking.see(own, self._state_s, self._params.hold_corrects and self._obeys)
         if self._hover is not None:
             self._hover.on_state(own, self._state_s)
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
@@ -438,6 +447,12 @@ class VehiclePilot:
         return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------
+
+    @property
+    def _obeys(self):
+        """It is in the air, and does nothing but what it is sent."""
+        state = self.flight_state
+        return state == FlightState.FLYING or (self._hover is not None and state == FlightState.HOVERING)
 
     @property
     def _has_pilot(self):
