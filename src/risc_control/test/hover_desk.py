@@ -18,14 +18,15 @@ STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
 
 
 class Iris:
-    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9.  quicker: of its
-    attitude loops.  level_rad: of roll and pitch, by which its level is wrong;  wind_m_s2: what the air does, cortex
-    frame.
+    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9.
+
+    quicker: of its attitude loops.  level_rad: roll and pitch of what it takes for level.  trim_rad: that it believes
+    to be told with the sticks centred.
     """
 
-    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05, quicker=1.0, level_rad=(0.0, 0.0), wind_m_s2=(0.0, 0.0)):
+    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05, quicker=1.0, level_rad=(0.0, 0.0)):
         self.more, self.battery_pct, self._delay_s = more, battery_pct, delay_s
-        self.quicker, self.level_rad, self.wind_m_s2 = quicker, level_rad, wind_m_s2
+        self.quicker, self.level_rad, self.trim_rad = quicker, level_rad, (0.0, 0.0)
         self.position_m, self.velocity_m_s = [0.3, -0.2, REST_M], [0.0, 0.0, 0.0]
         self.angles_rad, self.rates_rad_s = [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]
         self.armed, self.mode, self.arms = False, "STABILIZE", True
@@ -74,7 +75,8 @@ class Iris:
         phi, theta, psi = self.angles_rad
         for axis, wanted in enumerate((roll * IRIS.tilt_max_rad, pitch * IRIS.tilt_max_rad)):
             wn, zeta = 15.0 * self.quicker, 0.8
-            bends = wn * wn * (wanted + self.level_rad[axis] - self.angles_rad[axis]) - 2.0 * zeta * wn * self.rates_rad_s[axis]
+            wanted += self.level_rad[axis] + self.trim_rad[axis]
+            bends = wn * wn * (wanted - self.angles_rad[axis]) - 2.0 * zeta * wn * self.rates_rad_s[axis]
             self.rates_rad_s[axis] += STEP_S * bends
             self.angles_rad[axis] += STEP_S * self.rates_rad_s[axis]
         self.rates_rad_s[2] += STEP_S * (turn * IRIS.yaw_rate_max_rad_s - self.rates_rad_s[2]) / 0.1
@@ -83,7 +85,6 @@ class Iris:
         north = math.cos(psi) * forward - math.sin(psi) * right
         east = math.sin(psi) * forward + math.cos(psi) * right
         pushes = north, -east, thrust_m_s2 * math.cos(phi) * math.cos(theta) - G
-        pushes = pushes[0] + self.wind_m_s2[0], pushes[1] + self.wind_m_s2[1], pushes[2]
         for axis, push_m_s2 in enumerate(pushes):
             self.velocity_m_s[axis] += STEP_S * (push_m_s2 - 0.2 * self.velocity_m_s[axis])
             self.position_m[axis] += STEP_S * self.velocity_m_s[axis]
@@ -91,6 +92,36 @@ class Iris:
             self.impact_m_s = max(self.impact_m_s, -self.velocity_m_s[2])
             self.position_m[2], self.velocity_m_s = REST_M, [0.0, 0.0, max(0.0, self.velocity_m_s[2])]
             self.angles_rad[:2] = self.rates_rad_s[:2] = [0.0, 0.0]
+
+
+class Sensors:
+    """What the autopilot reports of tilt and height, at 10 Hz, with the errors of the virtual IRIS+.
+
+    late_s: of the reports.  stuck: they repeat themselves.
+    """
+
+    def __init__(self, seed, late_s=0.08):
+        self.late_s, self.stuck = late_s, False
+        self._rng, self._on_the_way = np.random.default_rng(seed), []
+        self._barometer, self._drift, self._climb = 0.06, 0.3, 0.03  # errors, one standard deviation at first
+
+    def heard(self, iris, now_s):
+        """Status of each report that arrives now."""
+        noise = self._rng.standard_normal
+        self._barometer, self._drift, self._climb = (
+            math.exp(-0.1 / tau_s) * error + std * math.sqrt(-math.expm1(-0.2 / tau_s)) * noise()
+            for error, std, tau_s in ((self._barometer, 0.06, 0.3), (self._drift, 0.3, 60.0), (self._climb, 0.03, 10.0))
+        )
+        tilt_rad = tuple(a - b + 0.0009 * noise() for a, b in zip(iris.angles_rad, iris.level_rad))
+        height_m = iris.position_m[2] + self._drift + self._barometer
+        climb_m_s = iris.velocity_m_s[2] + self._climb + 0.03 * noise()
+        report = Status(FlightState.UNKNOWN, None, tilt_rad=tilt_rad, height_m=height_m, climb_m_s=climb_m_s)
+        if self.stuck and self._on_the_way:
+            report = self._on_the_way[-1][1]
+        self._on_the_way.append((now_s + self.late_s + 0.02 * self._rng.random(), report))
+        arrived = [report for due_s, report in self._on_the_way if due_s <= now_s]
+        self._on_the_way = [item for item in self._on_the_way if item[0] > now_s]
+        return arrived
 
 
 class Desk:
@@ -197,6 +228,22 @@ def level_at(height_m):
         return Command(0.0, 0.0, 0.0, IRIS.mass_kg * (G + up_m_s2))
 
     return fly
+
+
+def circling(desk):
+    """A controller that flies a circle, up and down."""
+    if not hasattr(desk, "integrals"):
+        desk.integrals = np.zeros(3)
+    own, angle = desk.iris.own(), 0.45 * desk.now_s
+    cosine, sine = math.cos(angle), math.sin(angle)
+    place, speed = np.array((cosine, sine, 1.0 + 0.3 * sine)), 0.45 * np.array((-sine, cosine, 0.3 * cosine))
+    errors = np.clip(place - own.position_m, -0.5, 0.5)
+    desk.integrals += STEP_S * errors
+    x, y, up_m_s2 = 3.0 * errors + 2.8 * (speed - own.velocity_m_s) + desk.integrals - 0.2 * place * (1.0, 1.0, 0.0)
+    psi = own.psi_rad
+    forward, right = math.cos(psi) * x - math.sin(psi) * y, -math.sin(psi) * x - math.cos(psi) * y
+    roll_rad, pitch_rad = (max(-0.25, min(0.25, math.atan2(part, G))) for part in (right, -forward))
+    return Command(roll_rad, pitch_rad, 0.0, IRIS.mass_kg * (G + up_m_s2))
 
 
 def flown(more=0.9, **params):

@@ -38,7 +38,8 @@ _LOOPS_S = 0.6  # what was commanded earlier the attitude loops have forgotten
 _WINDOW_S = 0.5  # commands of a longer time than this are gone through for good
 _LEARN_S, _LEARNS_S, _PUSH_M_S2 = 0.2, 1.5, 0.8  # what it is pushed by: interval, time constant, the most
 _TILT_S, _OFFSET_S = 0.25, 2.0  # between reports of tilt at most; time constant of what they differ by while it is seen
-_STILL_RAD, _STILL_RAD_S = math.radians(1.0), 0.1  # it keeps still: change between reports, rate of the model
+_STILL_RAD, _STILL_RAD_S = math.radians(1.0), 0.1  # it keeps still: change between reports, rate of the model;
+_STILL_S = 0.4  # that counts after so long, as reports may be late by so much more than they are as a rule
 _SHIFTS, _BELIEVED_RAD = 0.3, math.radians(3.0)  # share of a difference that stays; a larger one
 
 # Of the feedback on one axis; speed that a tilt and its rate bring until it is level.
@@ -54,15 +55,6 @@ class Brake(NamedTuple):
     stopped: bool  # it would be slow, if it was told to be level now
 
 
-class _Reported(NamedTuple):
-    """A report of its tilt."""
-
-    tilt_rad: tuple  # roll, pitch
-    measured_s: float
-    lasts_s: float  # since the one before
-    still: bool  # it had not changed since
-
-
 class Braking:
     """One vehicle. Times: those of `sent`."""
 
@@ -72,7 +64,10 @@ class Braking:
         self._seen = self._own = None  # newest that was seen, until it counts; the same for good
         self._felt_m_s, self._felt_s = (0.0, 0.0), -math.inf
         self._mark, self._push_m_s2 = None, (0.0, 0.0)  # (own, when) that learning began at; forward, right
-        self._reported = self._waiting = None  # newest _Reported; one that has not been compared while it is not seen
+        self._tilt_rad, self._tilt_s = (math.nan, math.nan), -math.inf  # newest that it reported, and had then
+        self._model_rad = (math.nan, math.nan)  # the model's of then
+        self._still_s = self._counted_s = -math.inf  # since when both keep still; until when that has been counted
+        self._waits = False  # the newest report has not been compared, while it is not seen
         self._offset_rad, self._offset_s = (0.0, 0.0), 0.0  # reported tilt - model's, while it is seen; of how long
         self._shift_rad = (0.0, 0.0)  # that the tilt differs from the model's since then
         self._motion, self._at_s = _STANDING, -math.inf
@@ -121,20 +116,19 @@ class Braking:
 
     def feel_tilt(self, tilt_rad, measured_s):
         """It reports its roll and pitch [rad], which it had then."""
-        before = self._reported
-        if self._plant is None or (before is not None and before.tilt_rad == tilt_rad):
+        if self._plant is None or tilt_rad == self._tilt_rad or not math.isfinite(sum(tilt_rad)):
             return
-        lasts_s = _TILT_S if before is None else measured_s - before.measured_s
-        still = lasts_s < _TILT_S and all(abs(a - b) < _STILL_RAD for a, b in zip(tilt_rad, before.tilt_rad))
-        self._reported = _Reported(tilt_rad, measured_s, lasts_s, still)
+        if not 0.0 < measured_s - self._tilt_s < _TILT_S or _differ(tilt_rad, self._tilt_rad):
+            self._still_s = measured_s
+        self._tilt_rad, self._tilt_s = tilt_rad, measured_s
         if self._seen is None:
-            self._waiting = self._reported
-        elif still and self._mark is not None:
-            made = self._made(measured_s)
-            if _keeps_still(made):
-                differs_rad = tilt_rad[0] - made.phi_rad, tilt_rad[1] - made.theta_rad
-                self._offset_s = min(_OFFSET_S, self._offset_s + lasts_s)
-                self._offset_rad = _nearer(self._offset_rad, differs_rad, lasts_s / self._offset_s)
+            self._waits = True
+        elif self._mark is not None and self._keeps_still(self._made(measured_s)):
+            lasts_s = measured_s - self._counted_s
+            self._offset_s = min(_OFFSET_S, self._offset_s + lasts_s)
+            differs_rad = tuple(tilt - model for tilt, model in zip(tilt_rad, self._model_rad))
+            self._offset_rad = _nearer(self._offset_rad, differs_rad, lasts_s / self._offset_s)
+            self._counted_s = measured_s
 
     def command(self, now_s):
         """`Brake` of now; None of a vehicle that was not seen yet or too long ago, or is not braked."""
@@ -149,9 +143,9 @@ class Braking:
         if self._felt_s > self._at_s:
             self._go_on(self._felt_s)
             self._motion = _corrected(self._motion, *self._felt_m_s)
-        if self._waiting is not None:
-            self._compare(self._waiting)
-            self._waiting = None
+        if self._waits:
+            self._waits = False
+            self._compare()
         if until_s - self._at_s > _WINDOW_S:
             self._go_on(until_s - 0.5 * _WINDOW_S)
         then = self._later(until_s)
@@ -176,7 +170,7 @@ class Braking:
             theta_rate_rad_s=made.theta_rate_rad_s,
             psi_rate_rad_s=made.psi_rate_rad_s,
         )
-        self._shift_rad, self._waiting = (0.0, 0.0), None
+        self._shift_rad, self._waits = (0.0, 0.0), False
 
     def _learn(self, own, measured_s):
         """By what the velocity has changed since the mark, otherwise than by the commands."""
@@ -187,25 +181,32 @@ class Braking:
         north_m_s2, east_m_s2 = (u - then.north_m_s) / lasts_s, (-v - then.east_m_s) / lasts_s
         cosine, sine = math.cos(own.psi_rad), math.sin(own.psi_rad)
         wrong_m_s2 = cosine * north_m_s2 + sine * east_m_s2, cosine * east_m_s2 - sine * north_m_s2
-        pushes = _nearer(self._push_m_s2, wrong_m_s2, -math.expm1(-lasts_s / _LEARNS_S))
-        self._push_m_s2 = tuple(clipped(push, _PUSH_M_S2) for push in pushes)
+        believed_m_s2 = (clipped(wrong, _PUSH_M_S2) for wrong in wrong_m_s2)  # a false place is worth no more
+        self._push_m_s2 = _nearer(self._push_m_s2, believed_m_s2, -math.expm1(-lasts_s / _LEARNS_S))
 
-    def _compare(self, reported):
-        """What it reports of its tilt with the model's."""
-        lasts_s = min(reported.lasts_s, reported.measured_s - self._own_s)
-        if reported.measured_s <= self._at_s or self._offset_s < _OFFSET_S:
+    def _compare(self):
+        """What it reports of its tilt with the model's: that has gone on so since both keep still."""
+        if self._tilt_s <= self._at_s or self._offset_s < _OFFSET_S:
             return
-        was_still = _keeps_still(self._motion)
-        self._go_on(reported.measured_s)
-        if not (was_still and reported.still and _keeps_still(self._motion)):
+        self._go_on(self._tilt_s)
+        if not self._keeps_still(self._motion):
             return
-        model_rad = self._motion.phi_rad, self._motion.theta_rad
-        parts = zip(reported.tilt_rad, self._offset_rad, model_rad, self._shift_rad)
+        lasts_s, self._counted_s = self._tilt_s - max(self._counted_s, self._own_s), self._tilt_s
+        parts = zip(self._tilt_rad, self._offset_rad, self._model_rad, self._shift_rad)
         roll_rad, pitch_rad = (tilt - offset - model - shift for tilt, offset, model, shift in parts)
         if max(abs(roll_rad), abs(pitch_rad)) < _BELIEVED_RAD:
             self._motion = _pushed(self._motion, -GRAVITY_M_S2 * pitch_rad, GRAVITY_M_S2 * roll_rad, lasts_s)
             roll_was, pitch_was = self._shift_rad
             self._shift_rad = roll_was + _SHIFTS * roll_rad, pitch_was + _SHIFTS * pitch_rad
+
+    def _keeps_still(self, model):
+        """Whether reports and model, a Motion of the newest report's time, have not changed for long."""
+        turns_rad_s = max(abs(model.phi_rate_rad_s), abs(model.theta_rate_rad_s))
+        model_rad = model.phi_rad, model.theta_rad
+        if turns_rad_s > _STILL_RAD_S or _differ(model_rad, self._model_rad):
+            self._still_s = self._tilt_s
+        self._model_rad, self._counted_s = model_rad, max(self._counted_s, self._still_s)
+        return self._tilt_s - self._still_s >= _STILL_S
 
     def _go_on(self, to_s):
         self._motion, self._at_s = self._later(to_s), to_s
@@ -230,8 +231,8 @@ class Braking:
 _STANDING = Motion(*[0.0] * len(Motion._fields))
 
 
-def _keeps_still(motion):
-    return max(abs(motion.phi_rate_rad_s), abs(motion.theta_rate_rad_s)) < _STILL_RAD_S
+def _differ(tilt_rad, other_rad):
+    return not all(abs(tilt - other) < _STILL_RAD for tilt, other in zip(tilt_rad, other_rad))
 
 
 def _nearer(values, to, share):

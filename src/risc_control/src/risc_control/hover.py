@@ -215,7 +215,7 @@ class Hover:
 
     def feel_height(self, height_m, climb_m_s, measured_s, now_s):
         """It says that it had this height, by a zero of its own, and climb rate."""
-        if (height_m, climb_m_s) == self._felt:
+        if (height_m, climb_m_s) == self._felt or not math.isfinite(height_m + climb_m_s):
             return
         step_s = measured_s - self._felt_s
         self._felt, self._felt_s = (height_m, climb_m_s), measured_s
@@ -226,8 +226,11 @@ class Hover:
             self._zeros_s = min(_FELT_S, self._zeros_s + step_s)
             zeros, share = (height_m, climb_m_s - self._own.velocity_m_s[2]), step_s / self._zeros_s
             self._felt_zero = tuple(old + share * (new - old) for old, new in zip(self._felt_zero, zeros))
-        elif self._zeros_s >= _FEELS_S and self._reckoned and self._reckoned[0][0] <= measured_s - _LATE_S:
-            _, heights_m, climbs_m_s = zip(*(then for then in self._reckoned if then[0] >= measured_s - _LATE_S))
+            return
+        begins_s = measured_s - _LATE_S
+        lately = [then for then in self._reckoned if then[0] >= begins_s]
+        if self._zeros_s >= _FEELS_S and lately and self._reckoned[0][0] <= begins_s:
+            _, heights_m, climbs_m_s = zip(*lately)
             error_m = _beyond(height_m - self._felt_zero[0], heights_m, _NOISE_M)
             if abs(error_m) < _FELT_M:
                 self._reckoned_m += _FELT_1_S * step_s * error_m

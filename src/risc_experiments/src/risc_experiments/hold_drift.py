@@ -70,10 +70,15 @@ def main(argv=None):
     add("--gusts", action="store_true", help="moving air")
     add("--delay", type=float, metavar="S", dest="delay_s", help="link delay (default: that of the type)")
     add("--coast", action="store_true", help="only level it, without braking")
+    add("--alone", action="store_true", help="by its model alone, without what it learnt and its own tilt and height")
     add("--no-auto-hover", action="store_true", help="nor let it hold by itself (hold_auto_hover: false)")
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     args = parser.parse_args(argv)
-    node = {"hold_brakes": not args.coast, "hold_auto_hover": not args.no_auto_hover}
+    node = {
+        "hold_brakes": not args.coast,
+        "hold_corrects": not args.alone,
+        "hold_auto_hover": not args.no_auto_hover,
+    }
     groups = [(kind, course) for kind in args.types for course in args.trajectory]
     flights = [
         flight(*group, seed, gusts=args.gusts, delay_s=args.delay_s, node=node)

@@ -51,6 +51,7 @@ class OfflineLink:
 
     def report(self, now_s):
         """(FlightPhase, charge in percent, {what its sensors say}) as the vehicle tells its driver. It flies as long as
-        one likes: 90 is told until another charge is put in. Of sensors: by the names of `risc_control.vehicles.Status`.
+        one likes: 90 is told until another charge is put in. Of sensors: with the names of `risc_control.vehicles`'
+        Status.
         """
         return self.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0, {}
