@@ -149,7 +149,8 @@ def main(memory, *addresses):
                     return
                 driver_is_dead = True
             now_s = time.monotonic()
-            soon = any([vehicle.step(now_s, driver_is_dead) for vehicle in vehicles])
+            steps = [vehicle.step(now_s, driver_is_dead) for vehicle in vehicles]
+            soon = any(steps)
 
 
 if __name__ == "__main__":
