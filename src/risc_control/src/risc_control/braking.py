@@ -3,8 +3,8 @@
 Motion capture says how a vehicle moved when it was seen last. From then on it follows the commands that it was sent
 (`delay_prediction`), which brings a good velocity over the second or two that a stop takes. What corrects this model:
 
-- While the vehicle is seen its velocity changes otherwise than the commands explain: its level is not exact, the air
-  moves. That acceleration is learnt, along its axes, and goes on (`see`).
+- While a vehicle that does nothing by itself is seen, its velocity changes otherwise than the commands explain: its
+  level is not exact, the air moves. That acceleration is learnt, along its axes, and goes on (`see`).
 - Its own velocity, where it measures one, as an AR.Drone by its bottom camera: slowly, for wind and for a velocity that
   was wrong when it was seen last (`feel`).
 - The tilt that it reports, as an IRIS+, where that comes to differ from the commanded one otherwise than it did while

@@ -450,9 +450,8 @@ class VehiclePilot:
 
     @property
     def _obeys(self):
-        """It is in the air, and does nothing but what it is sent."""
-        state = self.flight_state
-        return state == FlightState.FLYING or (self._hover is not None and state == FlightState.HOVERING)
+        """It is in the air, and does nothing but what it is sent. An AR.Drone brakes by itself now and then."""
+        return self._hover is not None and self.flight_state in (FlightState.FLYING, FlightState.HOVERING)
 
     @property
     def _has_pilot(self):
