@@ -14,11 +14,12 @@ from data_extraction.report import page
 from risc_control.failsafe import SafetyLimits
 from risc_experiments.scorecard.figures import COUNTED, KEY
 from risc_experiments.scorecard.plan import GRADES
+from risc_experiments.soak import table
 from risc_lab.lab.yaml_reader import package_file
 
 _SCALARS = (
-    *KEY, "minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms", "detect_p99_ms",
-    "unsafe", *COUNTED,
+    *KEY, "minutes", "vehicle_minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms",
+    "detect_p99_ms", "unsafe", *COUNTED,
 )  # fmt: skip
 _COLOURS = {grade: plots.COLOURS[k] for grade, k in zip(GRADES, (2, 4, 1))}
 _OTHER = plots.COLOURS[0]
@@ -135,12 +136,6 @@ def _number(value, factor, digits):
     return "–" if value is None else "%.*f" % (digits, factor * value)
 
 
-def _table(head, rows, texts):
-    """Markdown. texts: so many columns from the left are texts."""
-    lines = [head, ["---"] * texts + ["---:"] * (len(head) - texts), *rows]
-    return ["| %s |" % " | ".join(map(str, line)) for line in lines]
-
-
 def markdown(scorecard):
     """The scorecard as Markdown, which is what a terminal shows, too."""
     totals = scorecard["totals"]
@@ -148,10 +143,11 @@ def markdown(scorecard):
     revision = scorecard["revision"] or "unknown"
     lines = ["# Scorecard (simulated)" + ladder, ""]
     lines += ["%s, revision %s: `%s`" % (scorecard["date"], revision, scorecard["command"]), ""]
-    lines += _table(HEAD, map(cells, scorecard["rows"]), 4)
+    lines += table.markdown(HEAD, map(cells, scorecard["rows"]), range(len(KEY)))
     counted = ["%d %s (%s per minute)" % (totals[what], WORDS[what], rate(totals, what)) for what in COUNTED]
-    flown = minutes_text(totals["minutes"]), totals["flights"], totals["events"], ", ".join(counted)
-    lines += ["", "In all %s minutes in %d flights, %d faults: %s." % flown]
+    times = [minutes_text(totals[what]) for what in ("minutes", "vehicle_minutes")]
+    flown = *times, totals["flights"], totals["events"], ", ".join(counted)
+    lines += ["", "In all %s minutes (%s of single vehicles) in %d flights, %d faults: %s." % flown]
     lines += ["In brackets: bounds of 95 %. " + MEANING, ""]
     if not scorecard["complete"]:
         lines += ["It is not complete: it was interrupted.", ""]
@@ -168,7 +164,7 @@ def markdown(scorecard):
             lines += [OTHERWISE % ", ".join(scorecard["against"]["conditions"]), ""]
         items = [item for item in scorecard["against"]["differences"] if item["significant"]]
         if items:
-            lines += [*_table((*KEY, "figure", "here", "there", "p"), map(compared, items), 5), ""]
+            lines += [*table.markdown((*KEY, "figure", "here", "there", "p"), map(compared, items), range(5)), ""]
         lines += ["%d of %d figures of the same rows differ significantly (5 %% in all, Holm)." % (
             len(items), len(scorecard["against"]["differences"]))]  # fmt: skip
     return "\n".join(lines).rstrip() + "\n"
@@ -180,7 +176,8 @@ MEANING = (
     "Errors: against truth, while on the course. Detected: from the start of a fault to the first failsafe level above "
     "OK, or until a vehicle is not seen any more, whichever is first; the p99 of fewer than 100 is the largest. False "
     "alarms: levels above OK that no fault explains. Breaches: into the net or onto the floor. Contacts: two vehicles "
-    "touched. A minute counts once for the whole fleet, on the course, until all of it has landed."
+    "touched. A minute counts once for the whole fleet, on the course, until all of it has landed; minutes of "
+    "single vehicles are those that each was up."
 )
 
 
