@@ -88,7 +88,7 @@ def write_json(scorecard, path):
 
 
 HEAD = (
-    "fault", "severity", "estimator", "controller", "minutes", "RMSE [mm]", "worst [m]", "detected", "p50 [ms]",
+    "fault", "severity", "estimator", "controller", "minutes", "RMSE [mm]", "worst [mm]", "detected", "p50 [ms]",
     "p99 [ms]", "false alarms (per minute)", "breaches (per minute)", "contacts (per minute)",
 )  # fmt: skip
 
@@ -101,7 +101,7 @@ def cells(row):
         share = "%d of %d (%.0f–%.0f %%)" % (row["detected"], row["events"], 100.0 * low, 100.0 * high)
     counted = ["%d (%s)" % (row[what], rate(row, what)) for what in COUNTED]
     return [*(row[key] for key in KEY), minutes_text(row["minutes"]), _number(row["rmse_m"], 1e3, 1),
-            _number(row["worst_m"], 1.0, 2), share, _number(row["detect_p50_ms"], 1.0, 0),
+            _number(row["worst_m"], 1e3, 0), share, _number(row["detect_p50_ms"], 1.0, 0),
             _number(row["detect_p99_ms"], 1.0, 0), *counted]  # fmt: skip
 
 
@@ -232,18 +232,29 @@ def draw(scorecard):
     for axes in (error, delay):
         low, high = axes.dataLim.intervalx
         axes.set_xlim(*((low / 1.3, high * 1.3) if 0.0 < low <= high < math.inf else (10.0, 1000.0)))
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_locator(LogLocator(subs=_ticks_of(*axes.get_xlim())))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
     delay.axvline(1e3 * SafetyLimits.state_hold_s, color="#888888", linewidth=0.8, linestyle=":")
-    severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]
-    handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=_COLOURS[grade], label=grade)
-               for grade in severities]  # fmt: skip
-    handles.append(Line2D([], [], marker="o", linestyle="", markersize=4, color=_OTHER, markerfacecolor="white",
-                          label="less than half detected"))  # fmt: skip
+    known = {row["severity"] for row in rows}
+    handles = [_dot(_COLOURS[grade], grade) for grade in GRADES if grade in known]
+    if known - set(GRADES):
+        handles.append(_dot(_OTHER, "without grades"))
+    handles.append(_dot("#444444", "less than half detected", markerfacecolor="white"))
     handles += [Line2D([], [], marker=marker, linestyle="", color="#444444", label=WORDS[what])
                 for what, marker in _MARKERS.items()]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     ladder = "" if scorecard["ladder"] else ", without the safety ladder"
     figure.suptitle("Scorecard of %s min (simulated)%s" % (minutes_text(scorecard["totals"]["minutes"]), ladder))
     return figure
+
+
+def _dot(colour, label, **style):
+    """Of the legend."""
+    return Line2D([], [], marker="o", linestyle="", markersize=4, color=colour, label=label, **style)
+
+
+def _ticks_of(low, high):
+    """Multiples of powers of ten that have room for their numbers on a logarithmic axis."""
+    decades = math.log10(high / low)
+    return (1.0, 2.0, 5.0) if decades < 2.0 else (1.0, 3.0) if decades < 3.5 else (1.0,)
