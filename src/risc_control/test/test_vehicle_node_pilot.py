@@ -121,6 +121,13 @@ def _rarely(desk):
         desk.run(0.09)
 
 
+def _late(desk):
+    desk.alive.discard("state")
+    for _ in range(30):
+        desk.pilot.on_state(desk.state, 0.12, desk.now_s)
+        desk.run(0.02)
+
+
 def _suspect(desk):
     desk.suspect = "its yaw jumped"
     desk.run(0.05)
@@ -131,6 +138,7 @@ def _suspect(desk):
     [
         (_lose("state"), "uncover its markers"),
         (_rarely, "times a second"),
+        (_late, "0.12 s old when they come"),
         (_see(position_m=(0.0, 1.95, 0.1)), "carry it inside"),
         (_see(phi_rad=0.4), "level floor"),
         (_lose("controls"), "controller has been silent"),

@@ -7,7 +7,7 @@ import sys
 import psutil
 import pytest
 
-from risc_experiments.programs import find, programs
+from risc_experiments.programs import find, programs, successor
 from risc_lab.ros.launching import MARK
 from risc_lab.testing import wait_for
 
@@ -75,6 +75,17 @@ def test_of_several_a_vehicle_has_its_own_or_shares_one(node):
     assert find(IDENTITY, "driver", "risc1").process.pid == shared.pid
     assert find(IDENTITY, "driver", "iris2").process.pid == second.pid
     assert find(IDENTITY, "driver").process.pid == shared.pid
+
+
+def test_a_killed_one_is_back_when_its_own_node_is_started_again(node):
+    first, _second = node("roscopter", "/iris1/apm"), node("roscopter", "/iris2/apm")
+    killed = find(IDENTITY, "driver", "iris1")
+    assert successor(IDENTITY, killed) is None, "it has not even ended"
+    killed.kill()
+    first.wait()
+    assert successor(IDENTITY, killed) is None, "what flies another vehicle does not stand in for it"
+    again = node("roscopter", "/iris1/apm")
+    assert successor(IDENTITY, killed).process.pid == again.pid
 
 
 def test_they_hang_go_on_and_die(node):

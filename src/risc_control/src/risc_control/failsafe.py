@@ -57,6 +57,8 @@ _OK, _HOLD, _LAND = FailsafeLevel  # the members of an enumeration are slow to l
 _FENCE_CLEAR_S = 0.3  # the fence lets go of a vehicle that could stop in time for so long;
 _FENCE_FORGETS_S = 3.0  # one that it must hold again within so long it holds until it lands
 _JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
+# behind the reason of a message that has been long on its way
+_LATE = ", %.0f ms when it came: shorten the delays of motion capture, network and computer, or set the clocks"
 _FINE = (_OK, Rule.NONE, "", None)  # what `SafetyLadder._judge` says of a flight without trouble
 
 
@@ -155,6 +157,11 @@ class Freshness:
         self._arrival_s = now_s
         self._age_at_arrival_s = self.ages.corrected(age_at_arrival_s, now_s)
 
+    @property
+    def late_s(self):
+        """Age of the newest good message when it arrived."""
+        return self._age_at_arrival_s
+
     def age_s(self, now_s):
         """Age now; infinite before the first good message."""
         return now_s - self._arrival_s + self._age_at_arrival_s
@@ -165,7 +172,10 @@ class Freshness:
             text = "%s stamped %.0f ms in the future: set the computers' clocks"
             return text % (self._what, 1e3 * self._clock_error_s)
         age_s = self.age_s(now_s)
-        return "no %s yet" % self._what if math.isinf(age_s) else "%s %.0f ms old" % (self._what, 1e3 * age_s)
+        if math.isinf(age_s):
+            return "no %s yet" % self._what
+        text = "%s %.0f ms old" % (self._what, 1e3 * age_s)
+        return text + _LATE % (1e3 * self.late_s) if self.late_s > 0.5 * age_s else text
 
 
 class Lasting:

@@ -524,6 +524,7 @@ class VehiclePilot:
         return preflight.refusals(
             preflight.Facts(
                 ladder.state.age_s(now_s),
+                ladder.state.late_s,
                 ladder.limits.state_hold_s,
                 ladder.suspect,
                 (len(looks_s) - 1) / (now_s - looks_s[0]) if full else 0.0,
