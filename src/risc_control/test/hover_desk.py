@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from joystick_desk import TAKEOFF_LAND, TOGGLE, JoystickDesk
 
 from risc_control.joystick import Sticks
 from risc_control.separation import ALONE
@@ -13,7 +14,6 @@ from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
 
 IRIS = load_vehicle_type("iris")
-TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, DOWN, SHUT_DOWN = 0, 2, 6, 9, 10, 7  # Appendix C
 STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
 
 
@@ -88,8 +88,9 @@ class Iris:
             self.angles_rad[:2] = self.rates_rad_s[:2] = [0.0, 0.0]
 
 
-class Desk:
-    """A pilot with its vehicle: ticks at 66 Hz, states and controls at 200 Hz, telemetry at 4 Hz, the board at 10 Hz.
+class Desk(JoystickDesk):
+    """A pilot with its vehicle: ticks at 66 Hz, states and controls at 200 Hz, telemetry at 4 Hz, the board at 10 Hz,
+    and the joystick at 20 Hz from its first message on.
 
     alive: what works; without "radio" nothing that is sent arrives.  fly: function of the desk that gives the
     controller's `Command`.
@@ -104,7 +105,7 @@ class Desk:
         self.look, self.fly = ALONE, fly
         self.sent, self.said, self.states = [], [], []  # (time, Sticks); (time, level, text); FlightStates, in turn
         self.counts = dict.fromkeys(("takeoff", "land", "reset", "disarm"), 0)
-        self._converter, self._step, self._joy = ControlsConverter([IRIS]), 0, None
+        self._converter, self._step = ControlsConverter([IRIS]), 0
         self.run(1.0)
 
     def take(self, orders):
@@ -153,22 +154,12 @@ class Desk:
             self.take(pilot.on_status(Status(self.iris.state, battery_pct), now_s))
         if self._step % 20 == 0 and "board" in self.alive:
             pilot.on_wire(now_s)
-        if self._joy is not None and self._step % 10 == 0:
-            self.take(pilot.on_joy(*self._joy, now_s))
+        if self.message is not None and self._step % 10 == 0:
+            self.repeat()
         if self._step % 3 == 0:
             self.take(pilot.tick(now_s))
         if not self.states or self.states[-1] != pilot.flight_state:
             self.states.append(pilot.flight_state)
-
-    def joy(self, *down, axes=(0.0,) * 8):
-        """A joystick that goes on with these buttons down."""
-        self._joy = [1 if i in down else 0 for i in range(11)], axes
-        return self.take(self.pilot.on_joy(*self._joy, self.now_s))
-
-    def press(self, button):
-        orders = self.joy(button)
-        self.joy()
-        return orders
 
     def up(self):
         """Take off, and wait until it hovers."""

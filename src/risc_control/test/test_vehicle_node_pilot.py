@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from joystick_desk import EMERGENCY, SHUT_DOWN, TAKEOFF_LAND, TOGGLE, UP, JoystickDesk
 from scipy.integrate import solve_ivp
 
 from risc_control.failsafe import FailsafeLevel, Rule, fence_of
@@ -27,10 +28,9 @@ from risc_lab.settings import settings_from
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
 LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 0, 2, 6, 9, 7  # Appendix C
 
 
-class Desk:
+class Desk(JoystickDesk):
     """A pilot with everything around it: ticks at 60 Hz, states and controls at 200 Hz, navdata at 50 Hz.
 
     With "joystick" in `alive` the newest joystick message is repeated at 20 Hz.
@@ -68,20 +68,10 @@ class Desk:
             if "navdata" in self.alive and self._step % 4 == 0:
                 self.take(self.pilot.on_status(Status(self.flight_state, self.battery), self.now_s))
             if "joystick" in self.alive and self._step % 10 == 0:
-                self.take(self.pilot.on_joy(*self._joy, self.now_s))
+                self.repeat()
             if self._step % 3 == 0:
                 self.take(self.pilot.tick(self.now_s))
         return [(t, *orders.command[:2]) for t, orders in self.orders[first:] if orders.command is not None]
-
-    def joy(self, *down, axes=(0.0,) * 8):
-        """One joystick message with these buttons down."""
-        self._joy = [1 if i in down else 0 for i in range(11)], axes
-        return self.take(self.pilot.on_joy(*self._joy, self.now_s))
-
-    def press(self, button):
-        orders = self.joy(button)
-        self.joy()
-        return orders
 
     def fly(self, autonomous=False):
         """Be in the air."""

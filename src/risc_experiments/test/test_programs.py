@@ -3,13 +3,13 @@
 import os
 import subprocess
 import sys
-import time
 
 import psutil
 import pytest
 
 from risc_experiments.programs import find, programs, successor
 from risc_lab.ros.launching import MARK
+from risc_lab.testing import wait_for
 
 IDENTITY = "a flight of test_programs"
 
@@ -39,13 +39,6 @@ def node():
 
 def state_of(process):
     return psutil.Process(process.pid).status()
-
-
-def wait_for(condition):
-    deadline_s = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
 
 
 def test_roles_and_names_find_the_nodes_of_one_flight(node):

@@ -154,6 +154,7 @@ class VehiclePilot:
         self._stopped = False  # it was braked, in this HOLD
         self._risen_s = -math.inf  # when the level rose last
         self._tilts, self._tilts_s = [0.0, 0.0], now_s  # see _told_tilt
+        self._newest_tilts = [0.0, 0.0]  # roll and pitch [rad] at which it settles by the newest command
         # that takes off, holds and lands a vehicle which does not do so itself; None: it does
         self._hover = None
         if not self._adapter.FLIES_ITSELF:
@@ -321,8 +322,8 @@ class VehiclePilot:
 
     def _told_tilt(self, now_s):
         """(roll, pitch) [rad] that it was told of late, without their noise."""
-        newest, part = self._sent.newest(0), -math.expm1((self._tilts_s - now_s) / _TILTS_S)
-        told = [old + part * (newest[channel] - old) for old, channel in zip(self._tilts, (Channel.PHI, Channel.THETA))]
+        part = -math.expm1((self._tilts_s - now_s) / _TILTS_S)
+        told = [old + part * (newest - old) for old, newest in zip(self._tilts, self._newest_tilts)]
         self._tilts, self._tilts_s = told, now_s
         return told
 
@@ -703,3 +704,4 @@ class VehiclePilot:
         """own: OwnState that they are for, if not the newest one."""
         orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, own or self._state))
         self._sent.append(0, now_s, orders.command.settles_at)
+        self._newest_tilts = orders.command.settles_at[[Channel.PHI, Channel.THETA]].tolist()

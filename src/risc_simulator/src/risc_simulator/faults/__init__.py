@@ -146,6 +146,11 @@ class FaultEvent(Settings):
         return fault_settings(self.fault)
 
     @property
+    def module(self):
+        """That of its member."""
+        return _module(self.fault, os.environ.get(VARIABLE))
+
+    @property
     def args(self):
         """What it is, without its name and its start: as on the command line."""
         settings = self.settings
@@ -160,6 +165,11 @@ class FaultEvent(Settings):
 
     def __str__(self):
         return "%s@%g" % (":".join(filter(None, (self.fault, self.args))), self.start_s)
+
+
+@functools.cache
+def _module(name, _folders):
+    return REGISTRY.module(name)
 
 
 def fault_settings(name):
