@@ -13,7 +13,7 @@ import numpy as np
 
 from risc_control import preflight
 from risc_control.braking import Braking
-from risc_control.failsafe import FailsafeLevel, Rule, SafetyLadder, SafetyLimits
+from risc_control.failsafe import LOSSES, FailsafeLevel, Rule, SafetyLadder, SafetyLimits
 from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, HAS_PILOT, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
@@ -37,6 +37,8 @@ _ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
+_HELD_BEFORE = LOSSES | {Rule.SEPARATION}
+_STOPS_S = 1.0  # in which it stops, at the most, before it lands
 _WAITS_S = 0.05  # a state that is only late comes within so long: until then it is level, and not braked
 _TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
 _NEARLY_FULL = 0.999
@@ -237,6 +239,8 @@ class VehiclePilot:
     def on_status(self, status, now_s):
         """The vehicle reported its `vehicles.Status`."""
         orders = Orders()
+        if self.ladder.verdict.level == _LAND and not self.ladder.navdata_is_fresh(now_s):
+            self._risen_s = now_s  # it hears us again
         self.ladder.note_navdata(status.battery_pct, now_s)
         if status.velocity_m_s is not None and self._params.hold_auto_hover:
             self._braking.feel(status.velocity_m_s, now_s)
@@ -634,15 +638,26 @@ class VehiclePilot:
                 orders.say("error" if verdict.operator else "warn", verdict.text)
             elif before.level > _OK:
                 orders.say("info", "safety: %s" % verdict.text)
-        if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
-            self._land_s = now_s
-            self._order_landing(orders, now_s)
         if verdict.level > before.level:
             self._risen_s = now_s
         if verdict.level > before.level and (self._hover is not None or self._takes_commands()):
             self._stopped = False
             self._slots.restart(now_s)
             self._send_safe(orders, now_s)
+        if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s and not self._brakes(now_s):
+            self._land_s = now_s
+            self._order_landing(orders, now_s)
+
+    def _brakes(self, now_s):
+        """Whether it is to stop before it lands: in its own landing an AR.Drone takes a metre for that. One that has
+        lost what it flies on, or keeps away from others, was braked before.
+        """
+        takes = self._hover is None and self._takes_commands() and self.ladder.verdict.rule not in _HELD_BEFORE
+        brake = self._braking.command(now_s) if takes and now_s - self._risen_s < _STOPS_S else None
+        if brake is None or brake.stopped:
+            return False
+        self._stopped = False
+        return True
 
     def _send_safe(self, orders, now_s):
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
