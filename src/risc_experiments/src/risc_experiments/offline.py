@@ -25,11 +25,13 @@ from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop, own_params
 from risc_control.failsafe import FailsafeLevel, fence_of
+from risc_control.feasibility import fleet_course, fleet_ways
 from risc_control.plausibility import Plausibility
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
-from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
+from risc_control.trajectories import YawProgram, find_course
 from risc_control.trajectory_manager import Phase, make_manager
+from risc_control.transitions import WayLimits
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, FlightState, Status, adapter_class
 from risc_estimation.filters import COMMAND, make_filter
@@ -39,9 +41,11 @@ from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.faults_list import fault_option
 from risc_experiments.fleets import default_fleet
 from risc_experiments.on_board import OnBoardReadings
+from risc_experiments.option_types import course as course_option
+from risc_experiments.option_types import speed as speed_option
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
-from risc_lab.lab.fleet import wider_m, widest_pair_m
+from risc_lab.lab.fleet import wider_m
 from risc_lab.states import S, States
 from risc_simulator.faults import FaultEvent
 from risc_simulator.injector import Injector
@@ -85,7 +89,7 @@ class Loss(NamedTuple):
 class Flight:
     """What is flown."""
 
-    trajectory: str = "circle"
+    trajectory: str = "circle"  # name of a course, or path of a file of waypoints
     vehicles: int = 3
     seed: int = 1
     duration_s: float = 20.0  # on the course after settling
@@ -101,6 +105,7 @@ class Flight:
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
     overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
+    speed: str | None = None  # of the course, as `speed_factor` takes it; None = by its numbers
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
     faults: tuple[FaultEvent, ...] = ()  # which start when the course is reached, before the settling time
@@ -186,11 +191,12 @@ def fly(flight):
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
-    wide_m = widest_pair_m(fleet.vehicles)
-    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, wide_m, **flight.course).with_yaw(yaw)
+    chosen = find_course(flight.trajectory)
+    course, factor = fleet_course(chosen, fleet.vehicles, fleet.arena, flight.speed or "", yaw, **flight.course)
     own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
     loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
-    manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
+    ways = fleet_ways(WayLimits(), fleet.vehicles, factor)
+    manager = make_manager(fleet.vehicles, course, limits=ways, order=loop.controller.ORDER)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
     exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one that is still is seen where it was
@@ -588,7 +594,7 @@ def _lab(flight):
     if flight.fleet:
         fleet = load_fleet(flight.fleet).with_vehicles(flight.vehicles)
     else:
-        fleet = default_fleet(flight.vehicles, flight.trajectory)
+        fleet = default_fleet(flight.vehicles, find_course(flight.trajectory))
     if flight.psi_deg is not None:
         turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
         fleet = replace(fleet, vehicles=tuple(turned))
@@ -606,7 +612,10 @@ def main(argv=None):
         description="Accuracy of whole flights, offline: position RMSE against truth, on the course after settling.",
     )
     add = parser.add_argument
-    add("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
+    add("--trajectory", nargs="+", type=course_option, default=["circle", "flat8", "slanted8"], metavar="NAME",
+        help="courses by name, or files of waypoints (.yaml; default: circle, flat8, slanted8)")  # fmt: skip
+    add("--speed", type=speed_option, metavar="M_S", help="largest speed on the course [m/s], or e.g. 2x: "
+        "twice as fast as by its numbers (default: by its numbers)")  # fmt: skip
     add("--vehicles", type=int, default=3, metavar="N")
     add("--fleet", default="", metavar="FILE", help="fleet file (default: one of the shipped ones)")
     add("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
@@ -627,7 +636,7 @@ def main(argv=None):
     if args.compile:
         _compile()
         return 0
-    common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts")
+    common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts", "speed")
     common = {name: getattr(args, name) for name in common}
     flights = [
         Flight(course, seed=seed, delay_s=delay_s, psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
@@ -640,12 +649,13 @@ def main(argv=None):
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         for flight, result in zip(flights, outcomes):
-            group = "%-9s %6s" % (flight.trajectory, "type" if flight.delay_s is None else "%.2f" % flight.delay_s)
+            name = pathlib.Path(flight.trajectory).stem
+            group = "%-9s %6s" % (name, "type" if flight.delay_s is None else "%.2f" % flight.delay_s)
             progress.clear()
             if isinstance(result, RuntimeError):
                 print("%s %5d  %s" % (group, flight.seed, result))
             elif flight.faults:
-                rows.append({"course": flight.trajectory, "delay_s": flight.delay_s, "seed": flight.seed,
+                rows.append({"course": name, "delay_s": flight.delay_s, "seed": flight.seed,
                              "faults": [fault._asdict() for fault in result.faults],
                              "breaches": len(result.breaches), "contacts": len(result.contacts)})  # fmt: skip
                 print("%s %5d  %s" % (group, flight.seed, _told(result)), flush=True)
@@ -657,7 +667,7 @@ def main(argv=None):
                 rmse_mm, speed = 1e3 * result.rmse_m, result.flown_s / result.took_s
                 everyone.setdefault(group, []).extend(rmse_mm)
                 closest_m = result.closest_m if math.isfinite(result.closest_m) else None
-                rows.append({"course": flight.trajectory, "delay_s": flight.delay_s, "seed": flight.seed,
+                rows.append({"course": name, "delay_s": flight.delay_s, "seed": flight.seed,
                              "rmse_m": result.rmse_m.tolist(), "closest_m": closest_m,
                              "times_real_time": speed})  # fmt: skip
                 print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
