@@ -132,6 +132,13 @@ def test_up_to_the_greatest_factor_and_no_farther(length_m, width_m, slant_m, pe
         check_course(course.faster(1.01 * factor), fleet, LARGE)
 
 
+def test_the_speed_that_is_left_is_that_of_the_course_by_its_numbers():
+    with pytest.raises(ValueError, match="at --speed 1.3[23]x or less"):
+        fleet_course("spin", vehicles(), Arena(), "4x")
+    with pytest.raises(ValueError, match="at --speed 2.0. or less"):
+        fleet_course("flat8", vehicles(), Arena(), "9x")
+
+
 def test_the_weakest_of_a_fleet_counts():
     course = level(1.0, 1.8)
     check_course(course, vehicles("iris"), LARGE)

@@ -115,6 +115,8 @@ def test_a_file(tmp_path):
     path = tmp_path / "my.yaml"
     path.write_text(yaml.safe_dump({"name": "mine", "waypoints": [{"position_m": list(p)} for p in SQUARE]}))
     assert make_course(find_course(str(path)), 1).name == "mine"
+    path.write_text(yaml.safe_dump({"waypoints": [{"position_m": list(p)} for p in SQUARE]}))
+    assert make_course(find_course(str(path)), 1).name == "my"
     path.write_text("name: mine\nwaypoints:\n  - {position: [1, 2, 3]}\n")
     with pytest.raises(ValueError, match=r"my.yaml: waypoints\[0\]: unknown key\(s\) position; known are position_m"):
         load_waypoints(path)

@@ -5,12 +5,13 @@ full scales of its commands, the rest is what the controller needs for errors, w
 know, and `speed_max_m_s`. Along the whole of every path, with the acceleration a of the reference and that which makes
 up for the drag, the following are looked at (in this order: the first that is exceeded is named):
 
-    fence      whether a vehicle there, at that speed, could still stop inside it: else its node would hold it
+    place      inside the fence, and above the floor
     speed
     tilt       atan(|a level| / (g + a up))
     climb      the command of the climb loop
     yaw rate   with what the yaw loop needs to follow it
     jerk       the tilt that is commanded to make the attitude loop, which lags, follow: a + 2 zeta / wn a' + a'' / wn^2
+    fence      whether a vehicle there, at that speed, could still stop inside it: else its node would hold it
 
 Of the same course flown faster each asks for more, so there is one greatest speed (`greatest_factor`).
 """
@@ -62,7 +63,7 @@ def fleet_course(course, vehicles, arena, speed="", yaw=None, **numbers):
         factor = min(1.0, greatest_factor(made, vehicles, arena) or 1.0)
     if factor != 1.0:
         made = made.faster(factor)
-    check_course(made, vehicles, arena)
+    check_course(made, vehicles, arena, factor)
     return made, factor
 
 
@@ -90,21 +91,20 @@ def fleet_ways(limits, vehicles, factor=1.0):
     )
 
 
-def check_course(course, vehicles, arena):
+def check_course(course, vehicles, arena, faster=1.0):
     """Raises ValueError, a line, when a Course cannot be flown by FleetVehicles, any of which may fly any of its paths.
 
-    It names what is asked for, where, and the greatest speed at which the course can be flown.
+    It names what is asked for, where, and the greatest speed at which the course can be flown.  faster: how many times
+    as fast it is as its own numbers say.
     """
     sampled, fences = _Sampled(course), _fences(vehicles, arena)
     excess = sampled.excess(fences)
     if excess is None:
         return
-    factor = _greatest_factor(sampled, fences)
-    cure = (
-        "it can be flown at --speed %s or less" % speed_text(course, factor)
-        if factor
-        else "nor can it at any other speed"
-    )
+    factor = faster * _greatest_factor(sampled, fences)
+    cure = "nor can it at any other speed"
+    if factor:
+        cure = "it can be flown at --speed %s or less" % speed_text(course.faster(1.0 / faster), factor)
     raise ValueError(
         "'%s' cannot be flown by type '%s': %s, %.1f s after its begin at (%.2f, %.2f, %.2f) m; %s"
         % (course.name, excess.type_name, excess.text, excess.time_s, *excess.position_m, cure)
@@ -172,9 +172,9 @@ def _excess(derivatives, vehicle_type, fence):
     level = derivatives[Order.ACCELERATION :, :, _LEVEL] + drag_1_s * derivatives[Order.VELOCITY : -1, :, _LEVEL]
     commands = [_through(level, loop) for loop in (vehicle_type.roll, vehicle_type.pitch)]
 
-    text, k = _beyond_fence(position, velocity, [level[0], *commands], fence)
-    if text:
-        return text, k
+    found = _misplaced(position, fence)
+    if found:
+        return found
     most_deg = math.degrees(share * min(most.roll_rad, most.pitch_rad))
     climb = climb_loops([vehicle_type])[0]
     climbs = np.abs(climb_command(derivatives[Order.ACCELERATION, :, Axis.Z], velocity[:, Axis.Z], climb)) / climb.most
@@ -190,6 +190,10 @@ def _excess(derivatives, vehicle_type, fence):
         k = int(values.argmax())
         if not values[k] <= limit * (1.0 + 1e-6):
             return "it asks for a %s of %.3g %s, a course may for %.3g" % (what, values[k], unit, limit), k
+    for k in range(0, len(position), _FENCE_EVERY):
+        pushes = [(*push[k], 0.0) for push in (level[0], *commands)]
+        if fence.leaves(position[k, : Axis.PSI], velocity[k, : Axis.PSI], pushes):
+            return "at %.2f m/s it could not stop inside the fence" % np.linalg.norm(velocity[k, : Axis.PSI]), k
     return None
 
 
@@ -199,19 +203,12 @@ def _through(level, loop):
     return level[0] + 2.0 * loop.damping_ratio / wn * level[1] + level[2] / wn**2
 
 
-def _beyond_fence(position, velocity, pushes, fence):
-    """(text, number of the time) where a vehicle that flies there (t, 4) leaves the fence, or would be held by it.
-
-    pushes: accelerations (t, 2) that its tilts make.
-    """
+def _misplaced(position, fence):
+    """(text, number of the time) where a path (t, 4) leaves the room; None: nowhere."""
     low = int(position[:, Axis.Z].argmin())
     if position[low, Axis.Z] < _LEAST_HEIGHT_M:
         return "it leads lower than %.1f m" % _LEAST_HEIGHT_M, low
     outside = [k for k, at_m in enumerate(position[:, : Axis.PSI]) if fence.is_outside(at_m)]
     if outside:
         return "it leads out of the fence", max(outside, key=lambda k: np.abs(position[k, : Axis.PSI]).max())
-    for k in range(0, len(position), _FENCE_EVERY):
-        own = [(*push[k], 0.0) for push in pushes]
-        if fence.leaves(position[k, : Axis.PSI], velocity[k, : Axis.PSI], own):
-            return "at %.2f m/s it could not stop inside the fence" % np.linalg.norm(velocity[k, : Axis.PSI]), k
-    return "", 0
+    return None

@@ -11,6 +11,7 @@
 
 import functools
 import math
+import pathlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,5 +113,5 @@ class Waypoints(Settings):
 
 
 def load_waypoints(path):
-    """Waypoints of a file. Raises ValueError that names the file, the key and what is wrong with it."""
-    return settings_from(Waypoints, load_yaml(path), str(path))
+    """Waypoints of a file, whose name they have where they have no other. Raises ValueError that names file and key."""
+    return settings_from(Waypoints, {"name": pathlib.Path(path).stem, **load_yaml(path)}, str(path))
