@@ -15,6 +15,7 @@ from flying import ROOT, fly
 from risc_experiments.programs import find
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import MARK, Launch, PortReservation, end_processes, free_tcp_port
+from risc_lab.testing import wait_for
 from risc_simulator.faults import REGISTRY, fault_settings
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import Told
@@ -164,13 +165,6 @@ def lab(tmp_path):
     reservation.close()
 
 
-def wait_for(condition):
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-
-
 def all_told(lab, told):
     return all(host.told is told for host in lab.vehicle_hosts.values())
 
@@ -192,10 +186,10 @@ def test_a_roslaunch_that_owns_the_master_lands_all_vehicles_when_that_dies(lab,
             command, env=dict(environment, **{MARK: IDENTITY}), stdout=log, stderr=log, start_new_session=True
         )
     try:
-        wait_for(lambda: all_told(lab, Told.FLY))
+        wait_for(lambda: all_told(lab, Told.FLY), limit_s=LIMIT_S)
         find(IDENTITY, "master").kill()
-        wait_for(lambda: all_told(lab, Told.LAND) and all_landed(lab))
-        wait_for(lambda: launch.poll() is not None)
+        wait_for(lambda: all_told(lab, Told.LAND) and all_landed(lab), limit_s=LIMIT_S)
+        wait_for(lambda: launch.poll() is not None, limit_s=LIMIT_S)
         assert not lab.world.crashes
     finally:
         launch.send_signal(signal.SIGINT)
@@ -208,7 +202,7 @@ def test_beside_a_roscore_of_its_own_the_fleet_flies_on_and_lands_when_roslaunch
     port = free_tcp_port()
     launch = Launch(ROOT / "launch" / "circles3.launch", lab.launch_arguments, tmp_path, port)
     try:
-        wait_for(lambda: all_told(lab, Told.FLY))
+        wait_for(lambda: all_told(lab, Told.FLY), limit_s=LIMIT_S)
         find(launch.identity, "master").kill()
         until_s = lab.world.time_s + 10.0
         while lab.world.time_s < until_s:
@@ -217,5 +211,5 @@ def test_beside_a_roscore_of_its_own_the_fleet_flies_on_and_lands_when_roslaunch
     finally:
         killed = launch.stop()
     assert not killed
-    wait_for(lambda: all_landed(lab))
+    wait_for(lambda: all_landed(lab), limit_s=LIMIT_S)
     assert not lab.world.crashes

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from std_msgs.msg import Bool
 
-from risc_lab.ros.testing import LIMIT_S, wait_for
+from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import ControllerReport
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 

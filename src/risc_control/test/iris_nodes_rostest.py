@@ -15,7 +15,7 @@ from std_msgs.msg import Bool
 
 from risc_control.vehicles.iris import hover_throttle
 from risc_lab.lab import load_vehicle_type
-from risc_lab.ros.testing import LIMIT_S, wait_for
+from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase, VehicleStatus
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 from roscopter.msg import Status

@@ -133,9 +133,16 @@ def test_old_stamps_are_losses_even_when_messages_arrive():
     ladder.note_navdata(90.0, 10.0)
     ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
     ladder.controls.note(0.3, 10.0)
-    assert ladder.update(10.0, True, True).level == FailsafeLevel.HOLD
+    held = ladder.update(10.0, True, True)
+    assert held.level == FailsafeLevel.HOLD and "300 ms when it came" in held.reason
     ladder.note_state(INSIDE, AT_REST, 150.0, 10.1)  # the backlog after a cable was pulled
     assert ladder.update(10.1, True, True).level == FailsafeLevel.LAND
+
+
+def test_a_state_that_is_old_because_none_came_is_not_called_late():
+    fresh = Freshness("state", 0.1)
+    fresh.note(0.004, 5.0)
+    assert fresh.describe(5.12) == "state 124 ms old"
 
 
 def test_stamps_in_the_future_do_not_count_and_say_why():

@@ -3,7 +3,8 @@
 import math
 
 import pytest
-from hover_desk import DOWN, EMERGENCY, IRIS, TAKEOFF_LAND, TOGGLE, UP, Desk, G, Iris, flown, level_at, said
+from hover_desk import IRIS, Desk, G, Iris, flown, level_at, said
+from joystick_desk import DOWN, EMERGENCY, TAKEOFF_LAND, TOGGLE, UP
 
 from risc_control import hover, vehicle_pilot
 from risc_control.failsafe import FailsafeLevel, Rule

@@ -4,7 +4,8 @@ import math
 import random
 
 import pytest
-from hover_desk import IRIS, TAKEOFF_LAND, TOGGLE, Desk, Iris, flown, level_at, said
+from hover_desk import IRIS, Desk, Iris, flown, level_at, said
+from joystick_desk import TAKEOFF_LAND, TOGGLE
 
 from risc_control.failsafe import FailsafeLevel
 from risc_control.joystick import CENTRED, Sticks

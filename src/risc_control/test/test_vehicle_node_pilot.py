@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from joystick_desk import EMERGENCY, SHUT_DOWN, TAKEOFF_LAND, TOGGLE, UP, JoystickDesk
 from scipy.integrate import solve_ivp
 
 from risc_control.failsafe import FailsafeLevel, Rule, fence_of
@@ -27,10 +28,9 @@ from risc_lab.settings import settings_from
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
 LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 0, 2, 6, 9, 7  # Appendix C
 
 
-class Desk:
+class Desk(JoystickDesk):
     """A pilot with everything around it: ticks at 60 Hz, states and controls at 200 Hz, navdata at 50 Hz.
 
     With "joystick" in `alive` the newest joystick message is repeated at 20 Hz.
@@ -68,20 +68,10 @@ class Desk:
             if "navdata" in self.alive and self._step % 4 == 0:
                 self.take(self.pilot.on_status(Status(self.flight_state, self.battery), self.now_s))
             if "joystick" in self.alive and self._step % 10 == 0:
-                self.take(self.pilot.on_joy(*self._joy, self.now_s))
+                self.repeat()
             if self._step % 3 == 0:
                 self.take(self.pilot.tick(self.now_s))
         return [(t, *orders.command[:2]) for t, orders in self.orders[first:] if orders.command is not None]
-
-    def joy(self, *down, axes=(0.0,) * 8):
-        """One joystick message with these buttons down."""
-        self._joy = [1 if i in down else 0 for i in range(11)], axes
-        return self.take(self.pilot.on_joy(*self._joy, self.now_s))
-
-    def press(self, button):
-        orders = self.joy(button)
-        self.joy()
-        return orders
 
     def fly(self, autonomous=False):
         """Be in the air."""
@@ -131,6 +121,13 @@ def _rarely(desk):
         desk.run(0.09)
 
 
+def _late(desk):
+    desk.alive.discard("state")
+    for _ in range(30):
+        desk.pilot.on_state(desk.state, 0.12, desk.now_s)
+        desk.run(0.02)
+
+
 def _suspect(desk):
     desk.suspect = "its yaw jumped"
     desk.run(0.05)
@@ -141,6 +138,7 @@ def _suspect(desk):
     [
         (_lose("state"), "uncover its markers"),
         (_rarely, "times a second"),
+        (_late, "0.12 s old when they come"),
         (_see(position_m=(0.0, 1.95, 0.1)), "carry it inside"),
         (_see(phi_rad=0.4), "level floor"),
         (_lose("controls"), "controller has been silent"),
@@ -1059,3 +1057,32 @@ def test_a_controller_with_other_full_scales_is_not_obeyed():
     desk.pilot.disagreement, since = "as before", len(desk.orders)
     desk.run(0.7)
     assert desk.count("land", since) > 0, "as if it were silent"
+
+
+@pytest.mark.parametrize(("speed_m_s", "stops_s"), [(0.0, 0.0), (2.5, 0.3), (2.5, 5.0)])
+def test_one_that_moves_stops_before_it_lands(speed_m_s, stops_s):
+    """Low on battery: told to land when it is slow, and after a second at the latest. Until then it brakes."""
+    desk = Desk().fly(autonomous=True)
+    desk.state, desk.battery = LEVEL._replace(velocity_m_s=(speed_m_s, 0.0, 0.0)), 5.0
+    while desk.pilot.ladder.verdict.level < FailsafeLevel.LAND:
+        sent = desk.run(0.005)
+    assert desk.count("land") == (speed_m_s == 0.0)
+    if speed_m_s:
+        sent += desk.run(min(stops_s, 0.9))
+        assert min(sticks.forward for _, sticks, _ in sent) < -0.5 and not desk.count("land")
+        desk.state = LEVEL if stops_s < 1.0 else desk.state
+        desk.run(0.2)
+        assert desk.count("land")
+
+
+def test_always_a_little_too_late_is_too_late():
+    """States of 0.11 s, one after the other: held, and after the time that a loss has landed, too."""
+    desk = Desk().fly(autonomous=True)
+    desk.alive.discard("state")
+    levels = []
+    for _ in range(120):
+        desk.pilot.on_state(LEVEL, 0.105, desk.now_s)
+        desk.run(0.005)
+        levels.append(desk.pilot.ladder.verdict.level)
+    held, landed = levels.index(FailsafeLevel.HOLD), levels.index(FailsafeLevel.LAND)
+    assert 0.005 * (landed - held) == pytest.approx(0.4, abs=0.02)

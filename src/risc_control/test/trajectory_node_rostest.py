@@ -16,7 +16,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from risc_control.trajectory_manager import Phase
-from risc_lab.ros.testing import wait_for
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
 

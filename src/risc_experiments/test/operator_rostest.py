@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, Empty, Float32MultiArray, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
-from risc_lab.ros.testing import wait_for
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States
 

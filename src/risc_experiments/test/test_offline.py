@@ -53,20 +53,20 @@ def test_a_seed_reproduces_a_flight_bit_for_bit():
 
 
 def test_a_vehicle_that_does_not_become_autonomous_at_once_is_asked_again(monkeypatch):
-    presses, press = [], offline._Chain.press_autonomous
+    presses, press = [], offline.Chain.press_autonomous
 
     def refused_once(chain, now_s):
         presses.append(chain)
         if len(presses) != 2:
             press(chain, now_s)
 
-    monkeypatch.setattr(offline._Chain, "press_autonomous", refused_once)
+    monkeypatch.setattr(offline.Chain, "press_autonomous", refused_once)
     assert fly(Flight("circle", vehicles=2, seed=7, duration_s=1.0)).rmse_m.max() < 0.02
     assert len(presses) == 3 and presses[1] is presses[2], "the other is not pressed again: that would end it"
 
 
 def test_a_flight_that_never_reaches_its_course_ends(monkeypatch):
-    monkeypatch.setattr(offline._Chain, "press_autonomous", lambda chain, now_s: None)
+    monkeypatch.setattr(offline.Chain, "press_autonomous", lambda chain, now_s: None)
     monkeypatch.setattr(offline, "LONGEST_WAY_S", 5.0)
     with pytest.raises(RuntimeError, match=r"not on the course after 5 s \(fluffy_II: hold; not autonomous: fluffy_II"):
         fly(Flight("circle", vehicles=1))

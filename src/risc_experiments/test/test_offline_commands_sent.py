@@ -25,7 +25,7 @@ def test_the_history_holds_what_went_on_the_wire(monkeypatch):
     flight = offline.Flight(vehicles=2, duration_s=1.0, perturbed=False)
     offline.fly(flight)
     (loop,) = loops
-    _, _, types = offline._lab(flight)
+    _, _, types = offline.lab_of(flight)
     for history, kind, wire in zip(loop.sent.vehicles, types, wires.values(), strict=True):  # in the order of the fleet
         count = history.newest
         assert count == len(wire) > 300

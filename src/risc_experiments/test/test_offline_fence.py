@@ -24,12 +24,12 @@ def fly(kind, seed, delay_s, duration_s=20.0, wild=True, **node):
     """
     rng = np.random.default_rng(seed)
     flight = offline.Flight(vehicles=1, seed=seed, delay_s=delay_s, types=(kind,))
-    fleet, types, (vehicle_type,) = offline._lab(flight)
+    fleet, types, (vehicle_type,) = offline.lab_of(flight)
     world = World(fleet, types, load_templates(), seed=seed, perturbed=True, gusts=True, step_s=offline.FRAME_S)
     (vehicle,), converter = world.vehicles.values(), ControlsConverter([vehicle_type])
     vehicle.fly_at((0.0, 0.0, 1.2), rng.uniform(-3.0, 3.0))
     params = VehicleNodeParams(joystick_timeout=0.0, **node)
-    chain = offline._Chain(vehicle, rng.random(), 1.0, params, Wires(seed), lambda *_: None, lambda *_: None)
+    chain = offline.Chain(vehicle, rng.random(), 1.0, params, Wires(seed), lambda *_: None, lambda *_: None)
     judge, most, change_s, least_m = Plausibility({"v": vehicle_type}, params), greatest_command(vehicle_type), 1.0, 9.0
     hover_n, tilts, up = vehicle_type.mass_kg * GRAVITY_M_S2, np.zeros(2), 1.0
     for frame in range(round(duration_s / offline.FRAME_S)):

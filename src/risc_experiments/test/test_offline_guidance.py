@@ -27,7 +27,7 @@ NOW = np.ones(1, dtype=bool)
 
 def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it_is():
     flight = offline.Flight(vehicles=1, psi_deg=PSI_DEG)
-    fleet, types, vehicle_types = offline._lab(flight)
+    fleet, types, vehicle_types = offline.lab_of(flight)
     templates = load_templates()
     world = World(fleet, types, templates, seed=flight.seed, perturbed=True, step_s=offline.FRAME_S)
     cameras = MocapCameras(CameraParams(), seed=np.random.SeedSequence(flight.seed))
@@ -44,7 +44,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     def nobody(*_):
         pass
 
-    chain, buffer = offline._Chain(vehicle, 0.3, 1.0, node, Wires(flight.seed), nobody, nobody), ReferenceBuffer()
+    chain, buffer = offline.Chain(vehicle, 0.3, 1.0, node, Wires(flight.seed), nobody, nobody), ReferenceBuffer()
 
     let_go_s = home_s = math.inf
     ranges, radii, homing = [], [], []

@@ -3,13 +3,13 @@
 import os
 import subprocess
 import sys
-import time
 
 import psutil
 import pytest
 
-from risc_experiments.programs import find, programs
+from risc_experiments.programs import find, programs, successor
 from risc_lab.ros.launching import MARK
+from risc_lab.testing import wait_for
 
 IDENTITY = "a flight of test_programs"
 
@@ -39,13 +39,6 @@ def node():
 
 def state_of(process):
     return psutil.Process(process.pid).status()
-
-
-def wait_for(condition):
-    deadline_s = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
 
 
 def test_roles_and_names_find_the_nodes_of_one_flight(node):
@@ -82,6 +75,17 @@ def test_of_several_a_vehicle_has_its_own_or_shares_one(node):
     assert find(IDENTITY, "driver", "risc1").process.pid == shared.pid
     assert find(IDENTITY, "driver", "iris2").process.pid == second.pid
     assert find(IDENTITY, "driver").process.pid == shared.pid
+
+
+def test_a_killed_one_is_back_when_its_own_node_is_started_again(node):
+    first, _second = node("roscopter", "/iris1/apm"), node("roscopter", "/iris2/apm")
+    killed = find(IDENTITY, "driver", "iris1")
+    assert successor(IDENTITY, killed) is None, "it has not even ended"
+    killed.kill()
+    first.wait()
+    assert successor(IDENTITY, killed) is None, "what flies another vehicle does not stand in for it"
+    again = node("roscopter", "/iris1/apm")
+    assert successor(IDENTITY, killed).process.pid == again.pid
 
 
 def test_they_hang_go_on_and_die(node):

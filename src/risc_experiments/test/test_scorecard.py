@@ -3,7 +3,9 @@
 import csv
 import json
 import pathlib
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from data_extraction.report import page
@@ -13,6 +15,7 @@ from risc_experiments.scorecard.figures import compare, rate_bounds, row_of, sha
 from risc_experiments.scorecard.plan import NONE, RANDOM, Cell, Plan, load_params, safe_members
 from risc_lab.lab.yaml_reader import package_file
 from risc_simulator.faults import fault_settings
+from risc_simulator.models.integrator import REST_HEIGHT_M
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
 CELL = Cell("jump", "mild", "least_squares", "differential_flatness")
@@ -26,7 +29,13 @@ def flown(rmse_m, minutes=1.0, delays_ms=(), missed=0, **counted):
     """Figures of a flight."""
     events = [["jump:0.1,risc1", 10.0, "held", True, delay_ms, "hold"] for delay_ms in delays_ms]
     events += [["jump:0.1,risc1", 10.0, "completed", True, None, None]] * missed
-    figures = {"minutes": minutes, "square_m2": 100 * rmse_m**2, "samples": 100, "worst_m": 2 * rmse_m}
+    figures = {
+        "minutes": minutes,
+        "vehicle_minutes": 2.0 * minutes,
+        "square_m2": 100 * rmse_m**2,
+        "samples": 100,
+        "worst_m": 2 * rmse_m,
+    }
     return figures | {"events": events, "false_alarms": 0, "breach": [], "contact": []} | counted
 
 
@@ -54,11 +63,11 @@ def test_a_row_is_made_of_all_its_flights():
         {
             1: flown(0.01, delays_ms=[90.0, 100.0], contact=["risc1 and risc2"]),
             2: flown(0.03, minutes=0.5, missed=1, delays_ms=[110.0], false_alarms=2),
-            3: {"minutes": 0.0, "error": "not on the course", "took_s": 1.0},
+            3: {"minutes": 0.0, "vehicle_minutes": 0.0, "error": "not on the course", "took_s": 1.0},
         },
     )
     assert row.keys() >= ROW_KEYS
-    assert (row["flights"], row["failed"], row["minutes"]) == (2, 1, 1.5)
+    assert (row["flights"], row["failed"], row["minutes"], row["vehicle_minutes"]) == (2, 1, 1.5, 3.0)
     assert row["rmse_m"] == pytest.approx((0.5 * (0.01**2 + 0.03**2)) ** 0.5, abs=1e-6) and row["worst_m"] == 0.06
     assert (row["events"], row["detected"], row["detect_p50_ms"], row["detect_p99_ms"]) == (4, 3, 100.0, 110.0)
     assert row["detected_by"] == {"hold": 3} and row["outcomes"] == {"held": 3, "completed": 1}
@@ -128,13 +137,29 @@ def test_an_interrupted_run_goes_on_and_another_one_begins_anew(tmp_path):
     path = tmp_path / flights.FILE
     path.write_bytes(path.read_bytes()[:-20])  # killed in the middle of a line
     record = flights.Record(tmp_path, {"code": "a", "settings": 1})
-    assert record.minutes() == {CELL: {1: 1.0}} and "1 flights" in record.notice
+    assert record.minutes() == {CELL: {1: 1.0}} and record.notice.endswith(": 1")
     record.add(CELL, 2, flown(0.02))
     record.close()
-    assert flights.Record(tmp_path, {"code": "a", "settings": 1}).minutes() == {CELL: {1: 1.0, 2: 1.0}}
+    record = flights.Record(tmp_path, {"code": "a", "settings": 1})
+    assert record.minutes() == {CELL: {1: 1.0, 2: 1.0}}
+    with pytest.raises(ValueError, match="another scorecard"):
+        flights.Record(tmp_path, {"code": "a", "settings": 1})
+    record.close()
     record = flights.Record(tmp_path, {"code": "b", "settings": 1})
     assert record.minutes() == {} and "another code" in record.notice
     assert len((tmp_path / (flights.FILE + ".old")).read_text(encoding="utf-8").splitlines()) == 3
+    record.close()
+    path.write_bytes(path.read_bytes() + b"\0\0\n")  # the power failed
+    with pytest.raises(ValueError, match="line 2 is damaged"):
+        flights.Record(tmp_path, {"code": "b", "settings": 1})
+
+
+def test_minutes_of_single_vehicles_are_those_that_they_are_up():
+    times_s = 0.02 * np.arange(500)
+    actual_m = np.full((500, 2, 3), 1.0)
+    actual_m[250:, 1, 2] = REST_HEIGHT_M  # it has landed
+    result = SimpleNamespace(times_s=times_s, reached_s=2.0, actual_m=actual_m)
+    assert flights._vehicle_minutes(result) == pytest.approx((8.0 + 3.0) / 60.0)
 
 
 def run(capsys, folder, *options):
@@ -160,7 +185,7 @@ def test_a_students_controller_takes_part_and_all_files_are_written(monkeypatch,
     monkeypatch.setattr(flights, "score", done)
     code, card, said = run(capsys, tmp_path, *options, "--json", str(tmp_path / "copy.json"))
     assert code == 0 and card["complete"] and card["simulated"] and card["ladder"] is True
-    assert "going on with the 1 flights" in said.err
+    assert "going on with the flights in" in said.err
     assert json.loads((tmp_path / "copy.json").read_text(encoding="utf-8")) == card
     quiet, blackout = card["rows"]
     assert all(row.keys() >= ROW_KEYS and row["controller"] == "toy_pd" for row in card["rows"])

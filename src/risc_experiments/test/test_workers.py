@@ -13,6 +13,7 @@ import pytest
 from risc_experiments.workers import AHEAD, in_order
 
 PATIENCE_S = 60.0
+HELD = []  # by a worker
 
 
 def square(number):
@@ -39,6 +40,11 @@ def refuse(number):
     if number == 3:
         raise ValueError("no %d" % number)
     return number
+
+
+def hold_semaphore(number):
+    HELD.append(multiprocessing.get_context("forkserver").Lock())
+    time.sleep(0.1 * number)
 
 
 def own_pid(_):
@@ -91,6 +97,29 @@ def test_workers_end_when_somebody_has_seen_enough():
     assert pid != os.getpid() and psutil.pid_exists(pid)
     results.close()
     assert not psutil.pid_exists(pid)
+
+
+HOLDING = """
+from test_workers import hold_semaphore
+from risc_experiments.workers import in_order
+results = in_order(hold_semaphore, range(20), 2)
+next(results)
+results.close()
+"""
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_workers_give_back_what_they_hold(killed):
+    """Else Python complains of leaked semaphores at the end; it does of workers that are killed."""
+    words = "from multiprocessing.context import ForkServerProcess as P; P.terminate = P.kill" if killed else ""
+    run = subprocess.run(
+        [sys.executable, "-c", words + HOLDING],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0 and ("leaked" if killed else "") in run.stderr
+    assert killed or not run.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])

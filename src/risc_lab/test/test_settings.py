@@ -1,6 +1,8 @@
 """Settings: what a dataclass says of its fields is what a file may hold."""
 
 import math
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -122,3 +124,25 @@ def test_a_text_is_no_way_around_finite_numbers(value):
 def test_limits_hold_for_what_a_program_makes():
     with pytest.raises(ValueError, match="'radius_m' must be a number > 0.0, found -1"):
         replace(_Wheel("left"), radius_m=-1.0)
+
+
+_RACE = """import sys, threading
+from dataclasses import make_dataclass
+from risc_lab.settings import Positive, Settings, settings_from
+sys.setswitchinterval(1e-6)
+for _ in range(100):
+    parts = [make_dataclass("Part", [("a%d" % k, Positive) for k in range(10)], bases=(Settings,)) for _ in range(8)]
+    Whole = make_dataclass("Whole", [("part%d" % k, part) for k, part in enumerate(parts)], bases=(Settings,))
+    given = {"part%d" % k: {"a%d" % j: 1 for j in range(10)} for k in range(8)}
+    together = threading.Barrier(6)
+    def read():
+        together.wait()
+        settings_from(Whole, given, "")
+    threads = [threading.Thread(target=read) for _ in range(6)]
+    [thread.start() for thread in threads], [thread.join() for thread in threads]
+"""
+
+
+def test_threads_may_read_settings_of_a_class_for_the_first_time_at_once():
+    """In a process of its own, which crashed: `./maap doctor` reads the same fleet in several threads."""
+    assert subprocess.run([sys.executable, "-c", _RACE], check=False).returncode == 0

@@ -262,6 +262,16 @@ def test_a_clean_wire_hands_over_what_it_gets():
     assert wires.statistics() == {}
 
 
+def test_a_fault_sees_nothing_before_and_after_its_window():
+    wires, arrived = Wires(), []
+    wire = wires.wire("risc1/navdata")
+    wires.add(FaultEvent("drop", severity=1.0, start_s=1.0, duration_s=1.0, channel="*"))
+    for now_s in (0.0, 0.99, 1.0, 1.99, 2.0):
+        wire.carry(b"", None, now_s, lambda data, _, at_s: arrived.append(at_s))
+    assert arrived == [0.0, 0.99, 2.0]
+    assert wires.statistics() == {"risc1/navdata": {"sent": 2, "delivered": 0, "later": 0}}
+
+
 @pytest.mark.parametrize("text, together", [("burst:0.1", True), ("intermittent:0.5", True), ("loss:0.5", False)])
 def test_a_network_that_is_silent_is_so_on_all_channels_at_once(text, together):
     """Else what a client asks for, and what it is answered, would pass while the stream is silent."""

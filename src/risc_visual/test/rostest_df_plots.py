@@ -19,7 +19,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from risc_lab.ros.testing import wait_for
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 

@@ -24,7 +24,7 @@ from ardrone_autonomy.msg import Navdata, navdata_demo, navdata_magneto
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.navdata import ControlState, Tag
 from ardrone_autonomy.srv import CamSelect, FlightAnim, LedAnim, RecordEnable
-from risc_lab.ros.testing import LIMIT_S, wait_for
+from risc_lab.testing import LIMIT_S, wait_for
 
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between publishing and counting
 

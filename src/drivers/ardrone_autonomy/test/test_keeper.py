@@ -1,5 +1,6 @@
 """The process that keeps vehicles hovering when their driver dies or hangs, and lands them when no other one comes."""
 
+import contextlib
 import os
 import select
 import signal
@@ -146,6 +147,22 @@ def test_a_new_driver_takes_its_vehicles_over(vehicles, drive):
         heard.append(data)
     assert LAND not in heard, "it was flown by somebody else then"
     take_over(vehicles[0].address)  # nobody is there: nothing happens
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can stop being root")
+def test_another_user_does_not_send_it_away(vehicles, drive):
+    driver, _ = drive()
+    driver.kill()
+    vehicles[0].hears(FLY)
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+            os.setuid(65534)
+            stranger.sendto(b"\0", keeper_module._door(vehicles[0].address))
+            os._exit(0)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, "the keeper does not listen"
+    vehicles[0].hears(LAND)  # which comes HOVER_S later, from a keeper that is still there
 
 
 def test_the_keeper_of_a_driver_that_works_is_not_sent_away(vehicles, drive):

@@ -19,6 +19,7 @@ from ardrone_autonomy.piloting import sticks_from_velocity
 from ardrone_autonomy.settings import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread
 from risc_lab.lab import load_fleet
+from risc_lab.testing import wait_for
 from risc_simulator.faults import parse_fault
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import Told
@@ -66,13 +67,6 @@ def thread(lab):
     thread.start()
     yield thread
     thread.stop()
-
-
-def wait_for(condition, limit_s=20.0):
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited %g s" % limit_s
-        time.sleep(0.01)
 
 
 def test_what_another_client_left_in_the_vehicle_is_overwritten(lab):
@@ -183,7 +177,7 @@ def pilot(lab):
             process.stdin.flush()
             return vehicle.phase is FlightPhase.HOVERING or time.sleep(0.2)
 
-        wait_for(take_off, 60.0)
+        wait_for(take_off)
         process.stdin.write("steer\n")
         process.stdin.flush()
         wait_for(lambda: speed_m_s(lab) > 0.4)

@@ -26,7 +26,7 @@ from std_srvs.srv import Empty as EmptySrv
 from ardrone_autonomy.protocol.navdata import ControlState
 from ardrone_autonomy.srv import CamSelect, RecordEnable
 from risc_lab.lab.calibration import CameraCalibration, read_calibration, save_calibration
-from risc_lab.ros.testing import LIMIT_S, wait_for
+from risc_lab.testing import LIMIT_S, wait_for
 
 FRONT_FRAME, BOTTOM_FRAME = "lab/ardrone_base_frontcam", "lab/ardrone_base_bottomcam"
 CHANNEL_OF_FRAME = {FRONT_FRAME: 0, BOTTOM_FRAME: 1}

@@ -17,7 +17,7 @@ from node_process import Node
 from scripted_device import PseudoTerminal
 from std_msgs.msg import Header
 
-from risc_lab.ros.testing import wait_for
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import PpmStatus, SerialLink
 from risc_msgs.msg import Control, Controls
 from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver

@@ -23,7 +23,7 @@ from scripted_device import BUFFER_BYTES, Board, Listener, PseudoTerminal, seria
 from std_msgs.msg import Header, String, UInt32
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerResponse
 
-from risc_lab.ros.testing import LIMIT_S, wait_for
+from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import SerialLink
 from risc_msgs.msg import Control, Controls
 from rosserial_msgs.msg import Log as DeviceLog

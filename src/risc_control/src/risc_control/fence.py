@@ -21,6 +21,7 @@ from risc_lab.frames import GRAVITY_M_S2
 
 _LOOK_S = 1.0 / 60.0
 _TURNS = 1.5  # times 2 zeta / wn, by which an attitude loop lags behind: until a tilt is turned over
+_STILL = ((0.0,), (0.0,), (0.0,))  # pushes of nothing, by axis
 _COUNTED_ON = 0.7  # of the deceleration that a tilt makes
 
 
@@ -62,12 +63,12 @@ class Fence:
 
     def leaves(self, position_m, velocity_m_s, pushes=()):
         """Whether it cannot stop in the room any more. All (3,), cortex frame; of `pushes` the worst counts."""
+        by_axis = tuple(zip(*pushes)) or _STILL
         for axis, (low, high) in enumerate(self._room_m):
-            push_m_s2 = [push[axis] for push in pushes] or (0.0,)
             at_m, speed_m_s = position_m[axis], velocity_m_s[axis]
-            if at_m + self.stop_m(axis, speed_m_s, max(push_m_s2)) > high:
+            if at_m + self.stop_m(axis, speed_m_s, max(by_axis[axis])) > high:
                 return True
-            if at_m - self.stop_m(axis, -speed_m_s, -min(push_m_s2)) < low:
+            if at_m - self.stop_m(axis, -speed_m_s, -min(by_axis[axis])) < low:
                 return True
         return False
 

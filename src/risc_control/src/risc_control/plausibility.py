@@ -100,7 +100,7 @@ class Plausibility:
         """vehicle_types: {name: VehicleType}; the states of others are believed.  limits: SafetyLimits."""
         self._give_up_s = limits.separation_forget_s
         noise = limits.suspect_position_m, limits.suspect_velocity_m_s, math.radians(limits.suspect_angle_deg)
-        self._noise = np.array([(*noise, limits.state_least_step_m)], _NOISE)[0]
+        self._noise = np.array([(*noise, limits.state_least_step_m)], _NOISE)  # a record would take longer to pass
         self._names = tuple(vehicle_types)
         self._index = {name: row for row, name in enumerate(self._names)}
         self._vehicles = np.zeros(len(self._names), _VEHICLE)
@@ -143,14 +143,14 @@ class Plausibility:
 
 
 @compiled
-def _judge(vehicles, rows, believed, states, stamp_s, noise, give_up_s):
-    """Judge the states (n, 12) of a message; take those out of believed (n,) that are suspect."""
+def _judge(vehicles, rows, believed, states, stamp_s, noise_of_all, give_up_s):
+    """Judge the states (n, 12) of a message; take those out of believed (n,) that are suspect.  noise_of_all: (1,)."""
     suspects = 0
     for k in range(len(rows)):
         if rows[k] < 0 or not believed[k] or not math.isfinite(states[k, :_STATE].sum()):
             continue
         vehicle = vehicles[rows[k]]
-        _note(vehicle, states[k], stamp_s, noise, give_up_s)
+        _note(vehicle, states[k], stamp_s, noise_of_all[0], give_up_s)
         if vehicle.doubt:
             believed[k] = False
             suspects += 1

@@ -16,6 +16,7 @@ class Facts(NamedTuple):
     """What is known of a vehicle that stands."""
 
     state_age_s: float  # of the newest state that was believed; infinite: it was never seen
+    state_late_s: float  # its age when it came
     state_limit_s: float
     suspect: str  # what the newest state contradicts; "" when nothing
     rate_hz: float  # of its states; 0: too few to say
@@ -39,6 +40,12 @@ def refusals(facts):
             "motion capture has not seen it: are its markers free, its template in Cortex, the estimator running? "
             "To fly by hand without motion capture start the vehicle's node with preflight:=false"
         )
+    elif facts.state_late_s > facts.state_limit_s:
+        text = (
+            "its states are %.2f s old when they come, not %.2f s at most: shorten the delays of motion capture, "
+            "network and computer, or set the clocks"
+        )
+        found.append(text % (facts.state_late_s, facts.state_limit_s))
     elif facts.state_age_s > facts.state_limit_s:
         text = "motion capture saw it %.1f s ago: uncover its markers, or look whether frames come"
         found.append(text % facts.state_age_s)

@@ -10,8 +10,10 @@ Samples that hold more derivatives are Taylor series: the newest one alone says 
 """
 
 import math
+from bisect import bisect
 from collections import deque
 from enum import IntEnum
+from operator import itemgetter
 
 import numpy as np
 
@@ -86,7 +88,7 @@ class ReferenceBuffer:
         finite.
         """
         stamp_s, sample = float(stamp_s), np.array(sample, dtype=float)
-        step = self._guard.look(stamp_s) if np.isfinite(sample).all() else Step.REFUSED
+        step = self._guard.look(stamp_s) if _is_finite(sample) else Step.REFUSED
         if step is Step.REFUSED:
             return False
         if self._samples and step is Step.ADVANCES and self._samples[-1][1].shape == sample.shape:
@@ -109,8 +111,7 @@ class ReferenceBuffer:
         if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
         result = np.empty((len(times_s), self._orders) + self._polynomial.shape[1:])
-        times = (np.asarray(times_s, dtype=float) - self._middle_s) / self._scale_s
-        _evaluate(self._polynomial, times, self._scale_s, result)
+        _evaluate(self._polynomial, np.asarray(times_s, dtype=float), self._middle_s, self._scale_s, result)
         return result
 
     def _fit_polynomial(self):
@@ -126,13 +127,12 @@ class ReferenceBuffer:
             self._polynomial = newest / _FACTORIALS[: len(newest), None, None]
             return
         since_s = [stamp_s - newest_s for stamp_s, _ in nodes]
-        same = (abs(since - known) <= _SAME_S for since, known in zip(since_s, self._spacing_s))
-        if len(since_s) != len(self._spacing_s) or not all(same):
+        if len(since_s) != len(self._spacing_s) or math.dist(since_s, self._spacing_s) > _SAME_S:
             self._spacing_s = since_s
             C = _conditions((np.array(since_s) + 0.5 * spacing_s) / spacing_s, _DEGREES[len(nodes)] + 1)
             scales = spacing_s ** np.arange(_LEGACY_ORDERS)
             self._fit = np.linalg.solve(C.T @ C, C.T) * np.tile(scales, len(nodes))
-        data = np.concatenate([sample.reshape(_LEGACY_ORDERS, -1) for _, sample in nodes])
+        data = np.concatenate([sample for _, sample in nodes]).reshape(len(nodes) * _LEGACY_ORDERS, -1)
         self._polynomial = (self._fit @ data).reshape((-1,) + newest.shape[1:])
 
     def _nodes(self):
@@ -144,9 +144,11 @@ class ReferenceBuffer:
             return nodes
         wanted = _NODES if span_s >= _SHORT_SPAN_S else 2
         spacing_s = min(_NODE_SPACING_S, span_s / (wanted - 1))
-        for sample in reversed(self._samples):
-            if sample[0] <= newest_s - len(nodes) * spacing_s + 1e-6 and len(nodes) < wanted:
-                nodes.append(sample)
+        end = len(self._samples) - 1
+        while end > 0 and len(nodes) < wanted:
+            end = bisect(self._samples, newest_s - len(nodes) * spacing_s + 1e-6, hi=end, key=itemgetter(0)) - 1
+            if end >= 0:
+                nodes.append(self._samples[end])
         return nodes
 
 
@@ -162,6 +164,11 @@ def _conditions(times, size):
         for d in range(_LEGACY_ORDERS)
     ]
     return np.concatenate(rows)
+
+
+@compiled
+def _is_finite(sample):
+    return math.isfinite(sample.sum())
 
 
 @compiled
@@ -182,10 +189,13 @@ def _continues(step_s, before, sample):
 
 
 @compiled
-def _evaluate(polynomial, times, scale_s, result):
-    """Fill the result (k, orders, n, 4): a polynomial (size, n, 4) of time / scale_s, and its derivatives by time."""
+def _evaluate(polynomial, times_s, middle_s, scale_s, result):
+    """Fill the result (k, orders, n, 4): a polynomial (size, n, 4) of (time - middle_s) / scale_s, and its derivatives
+    by time.
+    """
     size = len(polynomial)
-    for k in range(len(times)):
+    for k in range(len(times_s)):
+        t = (times_s[k] - middle_s) / scale_s
         for d in range(result.shape[1]):
             result[k, d] = 0.0
             for p in range(size - 1, d - 1, -1):  # Horner's rule; t^p has the derivative d p! / (p - d)! t^(p - d)
@@ -194,4 +204,4 @@ def _evaluate(polynomial, times, scale_s, result):
                     factor *= q / scale_s
                 for i in range(result.shape[2]):
                     for axis in range(result.shape[3]):
-                        result[k, d, i, axis] = result[k, d, i, axis] * times[k] + factor * polynomial[p, i, axis]
+                        result[k, d, i, axis] = result[k, d, i, axis] * t + factor * polynomial[p, i, axis]

@@ -106,13 +106,14 @@ class Separation:
         """
         self._own, self._fleet, self._wider_m = tuple(own), tuple(fleet), wider_m or {}
         self._on = limits.ladder and limits.separation_m > 0.0
-        self._limits = np.zeros(1, _LIMITS)[0]
+        self._course_m, self._unseen_s = limits.separation_course_m, limits.state_land_s
+        self._limits = np.zeros(1, _LIMITS)  # a record would take a microsecond longer to pass
         for name in _OF_SAFETY:
             self._limits[name] = getattr(limits, name)
         margin_m = _STOPS_S * limits.separation_speed_m_s
         low_m, high_m = np.transpose(limits.room_m)
-        self._limits.low_m[:] = np.maximum(low_m + margin_m, (-np.inf, -np.inf, _FLOOR_M))
-        self._limits.high_m[:] = high_m - margin_m
+        self._limits["low_m"] = np.maximum(low_m + margin_m, (-np.inf, -np.inf, _FLOOR_M))
+        self._limits["high_m"] = high_m - margin_m
         self._names, self._index = [], {}
         self._vehicles = np.zeros(0, _VEHICLE)
         self._rows = {}  # {names of a message: row of each}
@@ -134,7 +135,7 @@ class Separation:
     def refer(self, names, derivatives, referred_s):
         """References of some vehicles. derivatives: (n, 3, 4) position, velocity, acceleration of x, y, z, psi."""
         rows = self._rows_of(names)
-        _refer(self._vehicles, rows, derivatives, referred_s, self._limits.separation_course_m)
+        _refer(self._vehicles, rows, derivatives, referred_s, self._course_m)
 
     @property
     def asks(self):
@@ -167,7 +168,7 @@ class Separation:
         """(what its distance counts [m], its name) of the vehicle that is nearest to an own one; None: none is seen."""
         one, found = self._vehicles[self._index[name]], []
         for other, its_name in zip(self._vehicles, self._names):
-            if its_name != name and now_s - other.seen_s <= self._limits.state_land_s:
+            if its_name != name and now_s - other.seen_s <= self._unseen_s:
                 apart_m = math.dist(one["position_m"], other["position_m"]) - one["wider_m"] - other["wider_m"]
                 found.append((apart_m, its_name))
         return min(found, default=None)
@@ -324,13 +325,13 @@ def _flies(vehicle):
 
 
 @compiled
-def _judge(vehicles, apart_m, now_s, limits):
+def _judge(vehicles, apart_m, now_s, limits_of_all):
     """Who of all holds, because of whom and why. Returns whether anybody does.
 
     apart_m: (n, n) to work in: what it counts how near two will be at their velocities, inf for pairs that do not
-    matter.
+    matter.  limits_of_all: (1,) _LIMITS.
     """
-    n, anybody, tells = len(vehicles), False, False
+    n, anybody, tells, limits = len(vehicles), False, False, limits_of_all[0]
     for i in range(n):
         _note_course(vehicles[i], now_s, limits)
     for i in range(n):
@@ -379,9 +380,9 @@ def _judge(vehicles, apart_m, now_s, limits):
 
 
 @compiled
-def _avoid(vehicles, i, now_s, limits):
-    """(climb, above, aside) of a `Look`: where a vehicle that holds has to go."""
-    one, height_m = vehicles[i], vehicles[i].position_m[2]
+def _avoid(vehicles, i, now_s, limits_of_all):
+    """(climb, above, aside) of a `Look`: where a vehicle that holds has to go.  limits_of_all: (1,) _LIMITS."""
+    one, height_m, limits = vehicles[i], vehicles[i].position_m[2], limits_of_all[0]
     climb, above, aside = 0, False, (0.0, 0.0)
     closest_m, beside_m = limits.separation_m, _BESIDE * limits.separation_m
     for j in range(len(vehicles)):

@@ -24,7 +24,7 @@ from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop, own_params
-from risc_control.failsafe import FailsafeLevel, fence_of
+from risc_control.failsafe import fence_of
 from risc_control.feasibility import fleet_course, fleet_ways
 from risc_control.plausibility import Plausibility
 from risc_control.reference_buffer import ReferenceBuffer
@@ -32,14 +32,15 @@ from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import YawProgram, find_course
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.transitions import WayLimits
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
-from risc_control.vehicles import Controls, FlightState, Status, adapter_class
+from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.faults_list import fault_option
 from risc_experiments.fleets import default_fleet
+from risc_experiments.offline_chain import FRAME_S, LATENCY_S, TICK_EVERY, Chain, step_chains
+from risc_experiments.offline_outcome import breaches_of, contacts_of, judge_faults, left_course_s
 from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.option_types import course as course_option
 from risc_experiments.option_types import speed as speed_option
@@ -49,31 +50,18 @@ from risc_lab.lab.fleet import wider_m
 from risc_lab.states import S, States
 from risc_simulator.faults import FaultEvent
 from risc_simulator.injector import Injector
-from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.video.polygons import clip_polygons, coverage
 from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
-FRAME_S = 0.005
-LATENCY_S = 0.006  # exposure to the controller's answer: 3 ms in the mocap host, 3 ms in the nodes
 WARM_UP_S = 1.0  # hovering, before the operator presses the button
 LONGEST_WAY_S = 120.0  # until all are on the course; ways take at most a third of it (WayLimits.longest_s)
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
 LANDING_S = 15.0  # longer than the flight, for vehicles that land
 MAX_REPORTED_DELAY_S = 0.5  # as stream_markers believes
-TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
-
-_REPORTS = {  # what a vehicle says of itself
-    FlightPhase.LANDED: FlightState.LANDED,
-    FlightPhase.TAKING_OFF: FlightState.TAKING_OFF,
-    FlightPhase.HOVERING: FlightState.HOVERING,
-    FlightPhase.FLYING: FlightState.FLYING,
-    FlightPhase.LANDING: FlightState.LANDING,
-    FlightPhase.EMERGENCY: FlightState.UNKNOWN,
-}
 _CAMERA_STREAM, _RADIO_STREAM = 1000, 1001  # spawn keys beside those of the vehicles in the world
 
 
@@ -114,34 +102,6 @@ class Flight:
     wire_faults: tuple[FaultEvent, ...] = ()
 
 
-class Breach(NamedTuple):
-    """A vehicle flew into the net or onto the floor, or fell."""
-
-    time_s: float
-    name: str
-    reason: str
-
-
-class Contact(NamedTuple):
-    """Two vehicles touched in the air."""
-
-    time_s: float
-    name: str
-    other: str
-
-
-class FaultOutcome(NamedTuple):
-    """What became of a fault."""
-
-    name: str
-    args: str  # as on the command line, with the vehicle that the seed chose
-    start_s: float  # of the flight
-    end_s: float | None  # None: it had no end
-    outcome: str  # completed, held, landed or breach: the worst of what a vehicle did until the next fault
-    safe: bool  # its member calls that safe, and no two vehicles touched
-    reaction_ms: float | None  # from its begin to the first ladder that left OK; None: none did
-
-
 class Result(NamedTuple):
     """How it was flown. With faults a vehicle may land, and an error from a course that was left says nothing."""
 
@@ -157,6 +117,7 @@ class Result(NamedTuple):
     actual_m: np.ndarray  # (k, n, 3)
     safety: tuple  # of (time [s], name, text): what the ladders said, from the first trouble on
     landed: tuple  # (n,) bool, at the end
+    # see `offline_outcome`
     faults: tuple = ()  # FaultOutcome of each of Flight.faults, in their order
     breaches: tuple = ()  # Breach
     contacts: tuple = ()  # Contact
@@ -173,166 +134,10 @@ def fly(flight):
     """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it crashes
     (with faults: before they begin) or does not reach its course.
     """
-    started = time.perf_counter()
-    fleet, types, vehicle_types = _lab(flight)
-    templates = load_templates(fleet=fleet)
-    world = World(
-        fleet, types, templates, seed=flight.seed, perturbed=flight.perturbed, gusts=flight.gusts, step_s=FRAME_S
-    )
-    cameras = MocapCameras(
-        CameraParams.of_arena(fleet.arena) if flight.noise else CameraParams.ideal(),
-        seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
-    )
-    names = [vehicle.template for vehicle in fleet.vehicles]
-    estimator = StatesEstimator(
-        templates,
-        replace(PoseFitParams().within(fleet.arena), **({} if flight.noise else {"frozen_frames": 0})),
-        vehicles=names,
-        velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
-    )
-    yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
-    chosen = find_course(flight.trajectory)
-    course, factor = fleet_course(chosen, fleet.vehicles, fleet.arena, flight.speed or "", yaw, **flight.course)
-    own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
-    loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
-    ways = fleet_ways(WayLimits(), fleet.vehicles, factor)
-    manager = make_manager(fleet.vehicles, course, limits=ways, order=loop.controller.ORDER)
-    buffer = ReferenceBuffer(loop.controller.ORDER)
-    phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one that is still is seen where it was
-    params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **exact, **flight.node})
-    separation = Separation(names, params, names, wider_m(fleet.vehicles))
-    plausibility = Plausibility(dict(zip(names, vehicle_types)), params)
-    chains, loss = [], flight.loss
-    wires = Wires(flight.seed)
-    mocap = _Mocap(wires)
-    on_board = OnBoardReadings(estimator, world.vehicles.values(), wires, flight.seed, float(flight.noise))
-    for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
-        vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
-        on_sent, on_battery = partial(_record_command, loop.sent, estimator, i), partial(loop.tell_battery, i)
-        chains.append(_Chain(vehicle, phase, float(flight.noise), params, wires, on_sent, on_battery))
-    injector = Injector(world, wires, flight.seed, {"cortex": mocap})
-    for event in flight.wire_faults:
-        injector.add(event, 0.0)
-    for event in flight.faults:
-        injector.check(event)
-        if not 0.0 <= event.start_s < SETTLE_S + flight.duration_s:
-            text = "fault %s starts when the flight is over: it lasts %g s from when the course is reached"
-            raise ValueError(text % (event, SETTLE_S + flight.duration_s))
-    records, unseen, seen_before = [], [], [False] * len(names)  # records: of Flight.faults
-
-    everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
-    judged, times, references, truths = [], [], [], []
-    saturated, settled_s, frame = 0, math.inf, 0
-    while True:
-        time_s = frame * FRAME_S
-        now_s = time_s + LATENCY_S
-        injector.step(now_s)
-        world.step_to(time_s)
-        wires.release(now_s)
-        on_board.send(time_s)
-        mocap.send(cameras.observe(time_s, world.layout, world.markers_m()), now_s)
-        hears = False
-        for frame_seen in mocap.arrived:
-            update = estimator.update(frame_seen.time_s, frame_seen.layout, frame_seen.markers_m)
-            if update is not None:
-                estimate, stamp_s, hears = update, frame_seen.time_s, True
-        mocap.arrived.clear()
-        states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
-        if hears:
-            seen = states.visible.tolist()
-            if seen != seen_before:
-                unseen += [(now_s, i) for i, was_seen in enumerate(seen_before) if was_seen and not seen[i]]
-                seen_before = seen
-        else:
-            states = states._replace(visible=nobody.copy())
-        if loss is not None and time_s >= settled_s + loss.after_s:
-            if loss.what == "state":
-                states.visible[loss.vehicle] = False
-            else:
-                chains[loss.vehicle].lose(loss.what, now_s)
-        if time_s >= WARM_UP_S and manager.watching:
-            for name, chain, state in zip(names, chains, estimate.states):
-                if not chain.pilot.autonomous:
-                    manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
-                    chain.press_autonomous(now_s)
-                    manager.set_autonomous(name, chain.pilot.autonomous, now_s)
-        reference = manager.sample(time_s)
-        buffer.push(time_s, reference.derivatives[: buffer.sample_orders])  # as on the topics
-        flying = time_s >= WARM_UP_S
-        present, ahead = loop.pick(buffer.at(loop.times_s(stamp_s, now_s)))
-        if hears:
-            output = loop.update(stamp_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
-        looks, suspects = {}, ()  # {name: separation.Look}
-        if frame % TICK_EVERY == 0:
-            believed = plausibility.look(estimate.names[: len(names)], states.visible, states.x, stamp_s)
-            suspects = [plausibility.reason(name) for name in names] if (believed != states.visible).any() else ()
-            separation.see(estimate.names[: len(names)], believed, states.x, stamp_s)
-            course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
-            separation.refer(estimate.names[: len(names)], course_m, time_s)
-            if separation.asks:
-                separation.tell({name for name, chain in zip(names, chains) if chain.pilot.holds_alone})
-            looks = separation.look(now_s)
-        controls, looks = output.controls if hears else None, [looks.get(name, ALONE) for name in names]
-        step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects)
-        if flying:
-            saturated += np.count_nonzero(output.saturated) if hears else 0
-            if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
-                settled_s = time_s + SETTLE_S
-                records = [injector.add(event, now_s) for event in flight.faults]
-            if frame % JUDGE_EVERY == 0:
-                times.append(time_s)
-                references.append(reference.derivatives[0, :, :3])
-                truths.append(world.truth()[:, :3])
-                judged.append(time_s >= settled_s)
-        if world.crashes and not records:
-            crash = world.crashes[0]
-            raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
-        if settled_s == math.inf and time_s >= LONGEST_WAY_S:
-            manual = ", ".join(name for name, chain in zip(names, chains) if not chain.pilot.autonomous) or "none"
-            phases = ", ".join("%s: %s" % (name, phase.name.lower()) for name, phase in zip(names, reference.phases))
-            raise RuntimeError(
-                "not on the course after %g s (%s; not autonomous: %s; %r)" % (time_s, phases, manual, flight)
-            )
-        if time_s >= settled_s + flight.duration_s:
-            over = not records or time_s >= settled_s + flight.duration_s + LANDING_S
-            if over or not any(chain.lands for chain in chains):
-                break
-        if records and all(chain.rests for chain in chains):
-            break
-        frame += 1
-
-    references, truths, judged = np.array(references), np.array(truths), np.array(judged)
-    errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
-    if not judged.any():  # all have landed before
-        errors = np.full((1, len(names)), math.nan)
-    breaches, contacts = _breaches(world, chains), _contacts(world)
-    between = [truths[:, i] - truths[:, j] for i, j in combinations(range(len(names)), 2)]
-    return Result(
-        names=tuple(names),
-        rmse_m=np.sqrt((errors**2).mean(axis=0)),
-        max_m=errors.max(axis=0),
-        closest_m=min((float(np.linalg.norm(way_m, axis=1).min()) for way_m in between), default=math.inf),
-        saturated=saturated / (len(names) * (frame + 1)),
-        flown_s=time_s,
-        safety=tuple(
-            sorted((said_s, name, said.text) for name, chain in zip(names, chains) for said_s, said in chain.said)
-        ),
-        landed=tuple(chain.landed for chain in chains),
-        faults=tuple(_judge_faults(records, chains, breaches, contacts)),
-        breaches=breaches,
-        contacts=contacts,
-        reached_s=settled_s - SETTLE_S,
-        judged=judged,
-        namespaces=tuple(chain.name for chain in chains),
-        levels=tuple(sorted((said_s, i, said.level) for i, chain in enumerate(chains) for said_s, said in chain.said)),
-        unseen=tuple(unseen),
-        left_s=tuple(_left_s(chain, breaches, contacts) for chain in chains),
-        took_s=time.perf_counter() - started,
-        times_s=np.array(times),
-        reference_m=references,
-        actual_m=truths,
-    )
+    running = RunningFlight(flight)
+    while not running.is_over:
+        running.frame()
+    return running.outcome()
 
 
 def fly_all(flights, workers=None, on_progress=None):
@@ -351,68 +156,258 @@ def _outcome(flight):
         return error
 
 
-def _record_command(history, estimator, i, time_s, command):
-    """A command was sent: for the controller, and for a filter that asks for it."""
-    history.append(i, time_s, command)
-    estimator.on_board(estimator.names[i], time_s, COMMAND, command)
+class RunningFlight:
+    """A flight under way, frame by frame until it is over, and what came of it.
 
+    Its parts are those of the graph: world and cameras, estimator, references, controller, and a `Chain` of vehicle
+    node, link and on-board logic for each vehicle. Times are `_time_s`, that of the world and its exposures, and
+    `_now_s`, that of the nodes, LATENCY_S later.
+    """
 
-def _breaches(world, chains):
-    """Breaches in the order of their times; of one that fell without a crash: when its motors stood still."""
-    found = [Breach(crash.time_s, crash.namespace, crash.reason) for crash in world.crashes if not crash.other]
-    crashed = {crash.namespace for crash in world.crashes}
-    found += [Breach(chain.fell_s, chain.name, "fell: its motors were cut") for chain in chains
-              if chain.fell_s is not None and chain.name not in crashed]  # fmt: skip
-    return tuple(sorted(found))
+    def __init__(self, flight):
+        """Raises ValueError when it cannot be flown."""
+        self._flight, self._started = flight, time.perf_counter()
+        fleet, types, vehicle_types = lab_of(flight)
+        self._names = [vehicle.template for vehicle in fleet.vehicles]
+        self._everyone, self._nobody = np.ones(len(self._names), dtype=bool), np.zeros(len(self._names), dtype=bool)
+        self._frames, self._time_s, self._now_s = 0, 0.0, LATENCY_S
+        self._set_up_lab(fleet, types)
+        self._set_up_references_and_control(fleet, vehicle_types)
+        self._set_up_vehicles(fleet, vehicle_types)
+        self._set_up_faults()
+        self._times, self._references, self._truths, self._judged = [], [], [], []  # one of JUDGE_EVERY frames
+        self._saturated, self._settled_s = 0, math.inf
+        self._unseen, self._seen_before = [], [False] * len(self._names)
 
+    # --- set-up -------------------------------------------------------------------------------------------------
 
-def _contacts(world):
-    """Each pair that touched, once a touch."""
-    pairs = {(crash.time_s, *sorted((crash.namespace, crash.other))) for crash in world.crashes if crash.other}
-    return tuple(Contact(*pair) for pair in sorted(pairs))
-
-
-def _left_s(chain, breaches, contacts):
-    """When a vehicle has left its course for good; infinite: never."""
-    times_s = [said_s for said_s, verdict in chain.said if verdict.level is FailsafeLevel.LAND]
-    times_s += [breach.time_s for breach in breaches if breach.name == chain.name]
-    times_s += [contact.time_s for contact in contacts if chain.name in (contact.name, contact.other)]
-    return min(times_s + chain.descents_s, default=math.inf)
-
-
-def _judge_faults(records, chains, breaches, contacts):
-    """Yield a FaultOutcome of each FaultRecord: what happened from its begin to that of the next one counts."""
-    begins_s = sorted(record.begins_s for record in records)
-    for record in records:
-        until_s = min((begin_s for begin_s in begins_s if begin_s > record.begins_s), default=math.inf)
-        said = sorted(
-            (said_s, verdict.level, chain.down)
-            for chain in chains
-            for said_s, verdict in chain.said
-            if record.begins_s <= said_s < until_s and verdict.level > FailsafeLevel.OK
+    def _set_up_lab(self, fleet, types):
+        """World, cameras, estimator, and the wires in between."""
+        flight, templates = self._flight, load_templates(fleet=fleet)
+        how = {"seed": flight.seed, "perturbed": flight.perturbed, "gusts": flight.gusts, "step_s": FRAME_S}
+        self._world = World(fleet, types, templates, **how)
+        self._cameras = MocapCameras(
+            CameraParams.of_arena(fleet.arena) if flight.noise else CameraParams.ideal(),
+            seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
         )
-        touched, hurt = (
-            any(record.begins_s - LATENCY_S <= event.time_s < until_s for event in events)
-            for events in (contacts, breaches)
+        self._estimator = StatesEstimator(
+            templates,
+            replace(PoseFitParams().within(fleet.arena), **({} if flight.noise else {"frozen_frames": 0})),
+            vehicles=self._names,
+            velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
         )
-        landings = [down for _, level, down in said if level is FailsafeLevel.LAND]
-        for chain in chains:
-            landings += [chain.down for descent_s in chain.descents_s if record.begins_s <= descent_s < until_s]
-        if hurt or touched or not all(landings):
-            outcome = "breach"
-        elif landings:
-            outcome = "landed"
+        self._wires = Wires(flight.seed)
+        self._mocap = _Mocap(self._wires)
+        vehicles = self._world.vehicles.values()
+        self._on_board = OnBoardReadings(self._estimator, vehicles, self._wires, flight.seed, float(flight.noise))
+
+    def _set_up_references_and_control(self, fleet, vehicle_types):
+        flight = self._flight
+        yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
+        chosen, speed = find_course(flight.trajectory), flight.speed or ""
+        course, factor = fleet_course(chosen, fleet.vehicles, fleet.arena, speed, yaw, **flight.course)
+        own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
+        self._loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
+        order = self._loop.controller.ORDER
+        ways = fleet_ways(WayLimits(), fleet.vehicles, factor)
+        self._manager = make_manager(fleet.vehicles, course, limits=ways, order=order)
+        self._buffer = ReferenceBuffer(order)
+
+    def _set_up_vehicles(self, fleet, vehicle_types):
+        """Vehicle nodes, links and what the nodes know of each other; all vehicles hover where they start."""
+        flight, names, noise = self._flight, self._names, float(self._flight.noise)
+        exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one that is still is seen where it was
+        params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **exact, **flight.node})
+        self._separation = Separation(names, params, names, wider_m(fleet.vehicles))
+        self._plausibility = Plausibility(dict(zip(names, vehicle_types)), params)
+        rng = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,)))
+        self._chains = []
+        for i, (vehicle, start) in enumerate(zip(self._world.vehicles.values(), fleet.vehicles)):
+            vehicle.fly_at(start.start.position_m[:2] + (1.0,), start.start.yaw_rad)
+            told = partial(self._note_command, i), partial(self._loop.tell_battery, i)
+            self._chains.append(Chain(vehicle, rng.random(), noise, params, self._wires, *told))
+
+    def _note_command(self, i, time_s, command):
+        """A command was sent: for the controller, and for a filter that asks for it."""
+        self._loop.sent.append(i, time_s, command)
+        self._estimator.on_board(self._estimator.names[i], time_s, COMMAND, command)
+
+    def _set_up_faults(self):
+        flight = self._flight
+        self._injector = Injector(self._world, self._wires, flight.seed, {"cortex": self._mocap})
+        self._records = []  # FaultRecord of each of Flight.faults, from when they count on
+        for event in flight.wire_faults:
+            self._injector.add(event, 0.0)
+        for event in flight.faults:
+            self._injector.check(event)
+            if not 0.0 <= event.start_s < SETTLE_S + flight.duration_s:
+                text = "fault %s starts when the flight is over: it lasts %g s from when the course is reached"
+                raise ValueError(text % (event, SETTLE_S + flight.duration_s))
+
+    # --- one frame ----------------------------------------------------------------------------------------------
+
+    def frame(self):
+        """Fly a frame. Raises RuntimeError for a flight that crashes or does not reach its course, see `fly`."""
+        self._time_s = self._frames * FRAME_S
+        self._now_s = self._time_s + LATENCY_S
+        self._let_lab_go_on()
+        hears = self._estimate_states()
+        states = self._states_for_nodes(hears)
+        flying = self._time_s >= WARM_UP_S
+        if flying and self._manager.watching:
+            self._press_buttons()
+        reference = self._manager.sample(self._time_s)
+        self._buffer.push(self._time_s, reference.derivatives[: self._buffer.sample_orders])  # as on the topics
+        output = self._control(states, flying) if hears else None
+        looks, suspects = self._look_around(states, reference)
+        controls = output.controls if hears else None
+        step_chains(self._chains, self._frames, self._stamp_s, self._now_s, states, controls, looks, suspects)
+        if flying:
+            self._saturated += np.count_nonzero(output.saturated) if hears else 0
+            self._note(reference)
+        self._check_course(reference)
+        self._frames += 1
+
+    def _let_lab_go_on(self):
+        """World, wires and sensors up to now; what the cameras have seen is on its way."""
+        self._injector.step(self._now_s)
+        self._world.step_to(self._time_s)
+        self._wires.release(self._now_s)
+        self._on_board.send(self._time_s)
+        seen = self._cameras.observe(self._time_s, self._world.layout, self._world.markers_m())
+        self._mocap.send(seen, self._now_s)
+
+    def _estimate_states(self):
+        """Hand the estimator what has arrived. Returns whether it has made anything of it."""
+        hears = False
+        for seen in self._mocap.arrived:
+            estimate = self._estimator.update(seen.time_s, seen.layout, seen.markers_m)
+            if estimate is not None:
+                self._estimate, self._stamp_s, hears = estimate, seen.time_s, True
+        self._mocap.arrived.clear()
+        return hears
+
+    def _states_for_nodes(self, hears):
+        """States of the vehicles, as far as they are seen, and have not been lost for good."""
+        n, loss = len(self._names), self._flight.loss
+        states = States(self._estimate.visible[:n], self._estimate.states[:n])  # attached bodies come after
+        if hears:
+            seen = states.visible.tolist()
+            if seen != self._seen_before:
+                lost = [i for i, was_seen in enumerate(self._seen_before) if was_seen and not seen[i]]
+                self._unseen += [(self._now_s, i) for i in lost]
+                self._seen_before = seen
         else:
-            levels = (chain.levels(record.begins_s, until_s) for chain in chains)
-            outcome = "held" if any(own and own[-1] > FailsafeLevel.OK for own in levels) else "completed"
-        yield FaultOutcome(
-            record.event.fault,
-            record.event.args,
-            record.begins_s - LATENCY_S,
-            None if record.ends_s == math.inf else record.ends_s - LATENCY_S,
-            outcome,
-            outcome in record.event.settings.safe and not touched,
-            1e3 * (said[0][0] - record.begins_s) if said else None,
+            states = states._replace(visible=self._nobody.copy())
+        if loss is not None and self._time_s >= self._settled_s + loss.after_s:
+            if loss.what == "state":
+                states.visible[loss.vehicle] = False
+            else:
+                self._chains[loss.vehicle].lose(loss.what, self._now_s)
+        return states
+
+    def _press_buttons(self):
+        """The operator has all flown by the controller; who refuses is asked again."""
+        for name, chain, state in zip(self._names, self._chains, self._estimate.states):
+            if not chain.pilot.autonomous:
+                self._manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
+                chain.press_autonomous(self._now_s)
+                self._manager.set_autonomous(name, chain.pilot.autonomous, self._now_s)
+
+    def _control(self, states, flying):
+        """`Output` of the controller."""
+        times_s = self._loop.times_s(self._stamp_s, self._now_s)
+        present, ahead = self._loop.pick(self._buffer.at(times_s))
+        autonomous = self._everyone if flying else self._nobody
+        return self._loop.update(self._stamp_s, self._now_s, states, present, ahead, self._everyone, autonomous)
+
+    def _look_around(self, states, reference):
+        """What the vehicle nodes find at their ticks: `separation.Look` of each vehicle; what its state contradicts."""
+        if self._frames % TICK_EVERY:
+            return (), ()
+        names, stamp_s, separation = self._estimate.names[: len(self._names)], self._stamp_s, self._separation
+        believed, suspects = self._plausibility.look(names, states.visible, states.x, stamp_s), ()
+        if False in believed.tolist():
+            suspects = [self._plausibility.reason(name) for name in self._names]
+        separation.see(names, believed, states.x, stamp_s)
+        course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
+        separation.refer(names, course_m, self._time_s)
+        if separation.asks:
+            separation.tell({name for name, chain in zip(self._names, self._chains) if chain.pilot.holds_alone})
+        looks = separation.look(self._now_s)
+        return [looks.get(name, ALONE) for name in self._names], suspects
+
+    def _note(self, reference):
+        """Begin what counts from the course on; keep what errors are made of."""
+        if self._settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
+            self._settled_s = self._time_s + SETTLE_S
+            self._records = [self._injector.add(event, self._now_s) for event in self._flight.faults]
+        if self._frames % JUDGE_EVERY == 0:
+            self._times.append(self._time_s)
+            self._references.append(reference.derivatives[0, :, :3])
+            self._truths.append(self._world.positions_m())
+            self._judged.append(self._time_s >= self._settled_s)
+
+    def _check_course(self, reference):
+        """Raises RuntimeError for a crash that no fault explains, or when it takes too long to the course."""
+        if self._world.crashes and not self._records:
+            crash = self._world.crashes[0]
+            raise self._ended("%s %s after %.1f s" % (crash.namespace, crash.reason, crash.time_s))
+        if self._settled_s == math.inf and self._time_s >= LONGEST_WAY_S:
+            manual = [name for name, chain in zip(self._names, self._chains) if not chain.pilot.autonomous]
+            phases = ["%s: %s" % (name, phase.name.lower()) for name, phase in zip(self._names, reference.phases)]
+            told = self._time_s, ", ".join(phases), ", ".join(manual) or "none"
+            raise self._ended("not on the course after %g s (%s; not autonomous: %s)" % told)
+
+    def _ended(self, text):
+        error = RuntimeError(text)
+        error.add_note("in %r" % (self._flight,))  # for who has to repeat it
+        return error
+
+    # --- the end ------------------------------------------------------------------------------------------------
+
+    @property
+    def is_over(self):
+        """The time is over, and after faults nobody lands any more; or all are down for good."""
+        end_s = self._settled_s + self._flight.duration_s
+        if self._time_s >= end_s:
+            over = not self._records or self._time_s >= end_s + LANDING_S
+            if over or not any(chain.lands for chain in self._chains):
+                return True
+        return bool(self._records) and all(chain.rests for chain in self._chains)
+
+    def outcome(self):
+        """Its Result."""
+        chains, n = self._chains, len(self._names)
+        references, truths, judged = np.array(self._references), np.array(self._truths), np.array(self._judged)
+        errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
+        if not judged.any():  # all have landed before
+            errors = np.full((1, n), math.nan)
+        breaches, contacts = breaches_of(self._world, chains), contacts_of(self._world)
+        between = [truths[:, i] - truths[:, j] for i, j in combinations(range(n), 2)]
+        said = [(said_s, i, verdict) for i, chain in enumerate(chains) for said_s, verdict in chain.said]
+        return Result(
+            names=tuple(self._names),
+            rmse_m=np.sqrt((errors**2).mean(axis=0)),
+            max_m=errors.max(axis=0),
+            closest_m=min((float(np.linalg.norm(way_m, axis=1).min()) for way_m in between), default=math.inf),
+            saturated=self._saturated / (n * self._frames),
+            flown_s=self._time_s,
+            took_s=time.perf_counter() - self._started,
+            times_s=np.array(self._times),
+            reference_m=references,
+            actual_m=truths,
+            safety=tuple(sorted((said_s, self._names[i], verdict.text) for said_s, i, verdict in said)),
+            landed=tuple(chain.landed for chain in chains),
+            faults=tuple(judge_faults(self._records, chains, breaches, contacts)),
+            breaches=breaches,
+            contacts=contacts,
+            reached_s=self._settled_s - SETTLE_S,
+            judged=judged,
+            namespaces=tuple(chain.name for chain in chains),
+            levels=tuple(sorted((said_s, i, verdict.level) for said_s, i, verdict in said)),
+            unseen=tuple(self._unseen),
+            left_s=tuple(left_course_s(chain, breaches, contacts) for chain in chains),
         )
 
 
@@ -449,147 +444,7 @@ class _Mocap:
         self.arrived.append(seen)
 
 
-class _Chain:
-    """From /controls to the vehicle's on-board logic: vehicle node, and the link of its type."""
-
-    def __init__(self, vehicle, phase, noise, params, wires, on_sent, on_battery):
-        """phase: of the radio's clock, a fraction.  noise: of its sensors, a factor.  params: VehicleNodeParams.
-        on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
-        on_battery: takes the charge that the vehicle tells, and when.
-        """
-        self._on_sent, self._on_battery = on_sent, on_battery
-        self._flies_itself = adapter_class(vehicle.type).FLIES_ITSELF
-        self._link = vehicle.virtual.OfflineLink(vehicle, phase, noise)
-        self._report_every = TICK_EVERY * round(self._link.REPORT_PERIOD_S / (TICK_EVERY * FRAME_S))  # frames
-        self.pilot = VehiclePilot(params, vehicle.type, 0.0)
-        self.name, self._vehicle, self._phase = vehicle.namespace, vehicle, None
-        self.said = []  # (time [s], Verdict) of its ladder, from the first trouble on
-        self.fell_s = None  # when its motors were cut in the air
-        self.descents_s = []  # when it began to land, whoever wanted that
-        self.lost = None  # "controls" or "laptop"
-        self._wire = wires.wire("%s/commands" % vehicle.namespace)
-        self._reports = wires.wire("%s/navdata" % vehicle.namespace)
-
-    def press_autonomous(self, now_s):
-        """The operator presses the button, and lets go."""
-        buttons = [0] * 11
-        self.pilot.on_joy(buttons, [0.0] * 8, now_s)
-        buttons[VehicleNodeParams().JoytoWay] = 1
-        self.pilot.on_joy(buttons, [0.0] * 8, now_s)
-
-    def lose(self, what, now_s):
-        """From now on it has no controller or no laptop; of the second the vehicle takes notice by itself."""
-        if what == "laptop" and self.lost is None:
-            self._link.lose(now_s)
-        self.lost = what
-
-    @property
-    def landed(self):
-        """Whether the vehicle stands on the floor by its own report."""
-        return self._link.report()[0] is FlightPhase.LANDED
-
-    def levels(self, begin_s, end_s):
-        """Levels that its ladder entered in this time."""
-        return [verdict.level for said_s, verdict in self.said if begin_s <= said_s < end_s]
-
-    @property
-    def lands(self):
-        """Whether it is to land, and has not."""
-        return self.pilot.ladder.verdict.level is FailsafeLevel.LAND and not self.down
-
-    @property
-    def down(self):
-        """Whether the vehicle stands, or lies, on the floor."""
-        return not self._vehicle.firmware.lifted
-
-    @property
-    def rests(self):
-        """Whether it is down for good: its motors stand still."""
-        return self.down and not self._vehicle.firmware.motors_on
-
-    def see(self, visible, state, stamp_s, now_s, frame, look, suspect=""):
-        """What the vehicle node looks at once a tick. state: list of 12, columns `S`.  suspect: what it contradicts."""
-        pilot = self.pilot
-        if frame % self._report_every == 0:
-            self._reports.carry(self._link.report(), None, now_s, self._hear)
-            self._watch(self._vehicle.phase, now_s)
-            if not self._flies_itself:
-                pilot.on_wire(now_s)
-        if visible and suspect:
-            pilot.on_suspect(suspect, now_s)
-        elif visible:
-            own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
-            pilot.on_state(own, now_s - stamp_s, now_s, look)
-
-    def _watch(self, phase, now_s):
-        if phase is FlightPhase.EMERGENCY and self.fell_s is None:
-            self.fell_s = now_s - LATENCY_S
-        if phase is FlightPhase.LANDING and self._phase is not phase:
-            self.descents_s.append(now_s)
-        self._phase = phase
-
-    def _hear(self, report, _, now_s):
-        """The vehicle's report has arrived."""
-        phase, battery_pct, velocity_m_s = report
-        self.pilot.on_status(Status(_REPORTS[phase], battery_pct, velocity_m_s), now_s)
-        self._on_battery(battery_pct, now_s)
-
-    def send(self, orders, now_s):
-        """Hand what was ordered to the vehicle's link."""
-        if orders.safety is not None and (self.said or self.pilot.ladder.verdict.level > FailsafeLevel.OK):
-            self.said.append((now_s, orders.safety))
-        if orders.land:
-            self._wire.carry(FlightAction.LAND, None, now_s, self._order)
-        if orders.disarm:
-            self._wire.carry(FlightAction.CUT_MOTORS, None, now_s, self._order)
-        if orders.command is not None:
-            self._on_sent(now_s, orders.command.settles_at)
-            send = partial(self._send, orders.level_only)
-            self._wire.carry(orders.command.sticks, None, now_s, send)
-
-    def _send(self, level_only, sticks, _, now_s):
-        self._link.send(sticks, now_s, level_only)
-
-    def _order(self, action, _, at_s):
-        self._link.order(action, at_s)
-
-    def deliver(self, now_s):
-        """Give the vehicle what the radio brings."""
-        self._link.deliver(now_s)
-
-
-def step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects=()):
-    """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
-
-    states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
-    looks: `separation.Look` of each vehicle.  suspects: what the state of each contradicts; () = none's does.
-    """
-    ticks, commands = frame % TICK_EVERY == 0, None
-    if ticks:
-        visible, x = states.visible.tolist(), states.x.tolist()
-    for i, chain in enumerate(chains):
-        pilot = chain.pilot
-        if chain.lost == "laptop":
-            continue
-        if ticks:
-            if controls is not None and not visible[i]:
-                pilot.on_unseen()
-            chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i], suspects[i] if suspects else "")
-        sends = now_s >= pilot.next_command_s
-        if (sends or ticks) and chain.lost is None and controls is not None:
-            if commands is None:
-                commands = list(zip(*[part.tolist() for part in controls]))
-            own = Controls(*commands[i])
-            if sends:
-                chain.send(pilot.on_controls(own, stamp_s, now_s - stamp_s, now_s), now_s)
-            else:
-                pilot.hear_controls(own, now_s - stamp_s, now_s)
-        if ticks:
-            chain.send(pilot.tick(now_s), now_s)
-        chain.deliver(now_s)
-
-
-def _lab(flight):
+def lab_of(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
     if flight.fleet:
         fleet = load_fleet(flight.fleet).with_vehicles(flight.vehicles)

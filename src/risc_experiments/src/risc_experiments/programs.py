@@ -75,6 +75,12 @@ def programs(identity):
     return sorted(found, key=lambda program: program.node)
 
 
+def successor(identity, program):
+    """The Program that was started in the place of one that has ended, as the same node; None: none was yet."""
+    same = (other for other in programs(identity) if other.node == program.node)
+    return next((other for other in same if other.process != program.process), None)
+
+
 def find(identity, name, vehicle=""):
     """The Program that does this in a flight. Raises LookupError that lists those that there are.
 

@@ -10,9 +10,11 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
+import sys
 import traceback
 from multiprocessing import resource_tracker
 
+_PATIENCE_S = 10.0
 AHEAD = 4  # results for each worker that wait for one before them: thousands must not be held
 
 
@@ -68,9 +70,9 @@ def _together(function, items, count, on_progress):
             yield result
     finally:
         for worker in workers:
-            worker.process.kill()
+            worker.process.terminate()
         for worker in workers:
-            worker.process.join()
+            worker.end()
 
 
 class _Worker:
@@ -93,6 +95,12 @@ class _Worker:
         with contextlib.suppress(BrokenPipeError):  # it is dead: outcome() says so
             self._connection.send(item)
 
+    def end(self):
+        """Wait until it has ended. Terminated, it gives back what libraries hold, as semaphores; killed, it cannot."""
+        self.process.join(_PATIENCE_S)
+        self.process.kill()
+        self.process.join()
+
     def outcome(self):
         """(result, error): one of them None. Raises ChildProcessError when it has died."""
         try:
@@ -106,8 +114,9 @@ class _Worker:
 
 
 def _work(function, connection):
-    """What a worker does until its caller has gone."""
+    """What a worker does until its caller ends it, or has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal; the caller ends the workers
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # in the middle of an item, too
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             item = connection.recv()

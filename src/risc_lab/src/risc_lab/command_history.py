@@ -72,11 +72,6 @@ class CommandHistory:
         history = self.vehicles[vehicle]
         return history.commands[last_by(history, time_s, history.newest) % len(history.times_s)].copy()
 
-    def newest(self, vehicle):
-        """List of CHANNELS: the command that was sent last."""
-        commands, newest = self.vehicles["commands"], self.vehicles["newest"][vehicle]
-        return commands[vehicle, newest % commands.shape[1]].tolist()
-
     def held(self, vehicle, times_s, longest_s):
         """(n, 4) commands in force at times (n,); NaN where the last one was sent longer ago, or nobody knows it."""
         history = self.vehicles[vehicle]

@@ -16,6 +16,7 @@ made in a program has its limits checked as well. Each problem is one ValueError
 import functools
 import math
 import re
+import threading
 import typing
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -38,6 +39,8 @@ def between(least, greatest):
     return typing.Annotated[type(least), Meta(ge=least, le=greatest)]
 
 
+# Two threads that let msgspec look at the same class for the first time crash the process (seen with 0.22.0).
+_CONVERTING = threading.RLock()
 _WORDS = {  # msgspec's, in those of a YAML file
     "float": "a number",
     "int": "a whole number",
@@ -113,7 +116,8 @@ def _convert(value, hint, where, key="", strict=True):
         kind = typing.get_args(hint)[1]
         return {name: _convert(item, kind, where, "%s.%s" % (key, name)) for name, item in value.items()}
     try:
-        return msgspec.convert(_plain(value), hint, strict=strict, from_attributes=True)
+        with _CONVERTING:
+            return msgspec.convert(_plain(value), hint, strict=strict, from_attributes=True)
     except msgspec.ValidationError as error:
         text, _, path = str(error).rpartition(" - at `$") if " - at `$" in str(error) else (str(error), "", "")
         path = path.rstrip("`")

@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from risc_simulator.faults import EVERYONE, REGISTRY, Bodies, FaultEvent
+from risc_simulator.faults import EVERYONE, Bodies, FaultEvent
 from risc_simulator.world import look_up
 
 _ON_WIRES = {"datagrams", "streams", "frames"}
@@ -84,7 +84,7 @@ class Injector:
                 self._wires.add(replace(event, channel=target, start_s=begins_s), self._bodies(event))
             else:
                 where = getattr(target, "namespace", "hosts")
-                made = REGISTRY.module(event.fault).make(event.severity, self._rng(where, event.fault))
+                made = event.module.make(event.severity, self._rng(where, event.fault))
                 acts.append(_Act(record, target, made))
         self._acts += acts or [_Act(record)]
         self.history.append(record)
@@ -161,7 +161,7 @@ class Injector:
             for channel in channels:
                 self._wires.fit(event, channel)
             if "frames" in settings.acts_on:  # it may need more than there is
-                REGISTRY.module(event.fault).make(event.severity, np.random.default_rng(0), self._bodies(event))
+                event.module.make(event.severity, np.random.default_rng(0), self._bodies(event))
             return channels
         if event.channel:
             raise ValueError("fault %s acts on no channel: leave '%s' out" % (event.fault, event.channel))

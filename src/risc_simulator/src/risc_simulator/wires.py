@@ -9,8 +9,6 @@ from zlib import crc32
 
 import numpy as np
 
-from risc_simulator.faults import REGISTRY
-
 MAX_HELD_BYTES = 256 * 1024  # of a connection; more than that its socket's buffers would not take either
 
 
@@ -41,7 +39,7 @@ class Wires:
         bodies: faults.Bodies, for those that act on frames.  Raises ValueError as `fit`.
         """
         name, settings = event.fault, event.settings
-        fit, make = self.fit(event, event.channel or settings.channel), REGISTRY.module(name).make
+        fit, make = self.fit(event, event.channel or settings.channel), event.module.make
         context, act = (bodies,) if "frames" in settings.acts_on else (), None
         for wire in fit:
             key = crc32(wire.channel.encode()), crc32(name.encode()), wire.added[name]
@@ -64,7 +62,7 @@ class Wires:
         if not fit:
             text = "fault %s acts on %s; %s: %s"
             raise ValueError(text % (name, " and ".join(acts_on), channel, meant[0].kind))
-        if not hasattr(REGISTRY.module(name), "make"):
+        if not hasattr(event.module, "make"):
             raise ValueError("fault %s: its module has no make(severity, rng)" % name)
         return fit
 
@@ -118,10 +116,11 @@ class Wire:
 
         Returns what deliver said, True for what arrives later, False for what is lost.
         """
-        if not self.acting:
+        in_force = self._in_force(now_s) if self.acting else ()
+        if not in_force:
             return deliver(datagram, address, now_s)
         arriving = [(0.0, bytes(datagram) if isinstance(datagram, bytearray) else datagram)]
-        for _, act in self._in_force(now_s):
+        for _, act in in_force:
             arriving = [
                 (before_s + later_s, data)
                 for before_s, passing in arriving
@@ -135,7 +134,7 @@ class Wire:
 
     def _in_force(self, now_s):
         """[(end, act)] of the faults that act now; those that are over are forgotten."""
-        self.acting = tuple(fault for fault in self.acting if now_s < fault[1])
+        self.acting = tuple([fault for fault in self.acting if now_s < fault[1]])
         return [(end_s, act) for start_s, end_s, act in self.acting if start_s <= now_s]
 
     def _deliver(self, due_s, now_s, deliver, data, address):

@@ -31,6 +31,7 @@ GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehi
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
+_EAST_IS_RIGHT = np.array([1.0, -1.0, 1.0])  # the cortex frame's y points left
 _STILL = np.empty((0, 3))  # innovations of a wind that does not change by itself
 
 
@@ -461,9 +462,12 @@ class World:
         """
         self._differentiate()
         x, slope = self._x, self._slope * self._lifted
-        east_is_right = np.array([1.0, -1.0, 1.0])  # the cortex frame's y points left
-        place, velocity = x[: X.U].T * east_is_right, slope[: X.U].T * east_is_right
-        return np.hstack((place, velocity, x[X.PHI : X.P].T, slope[X.PHI : X.P].T))
+        velocity = slope[: X.U].T * _EAST_IS_RIGHT
+        return np.hstack((self.positions_m(), velocity, x[X.PHI : X.P].T, slope[X.PHI : X.P].T))
+
+    def positions_m(self):
+        """(n, 3) where the vehicles are, cortex axes, in fleet order."""
+        return self._x[: X.U].T * _EAST_IS_RIGHT
 
     def _differentiate(self):
         """Slopes and thrusts at world time, once."""
@@ -479,21 +483,18 @@ class World:
         slope = self._slope[:, i].tolist()
         firmware, plant = self._vehicles[i].firmware, self._vehicles[i].plant
         sin_phi, cos_phi, sin_theta, cos_theta = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
-        felt_g = GRAVITY_M_S2 * np.array([-sin_theta, cos_theta * sin_phi, cos_theta * cos_phi])
+        moved = velocity = (0.0, 0.0, 0.0)
         if firmware.lifted:
-            force = (
-                np.array([slope[X.U] - (r * v - q * w), slope[X.V] - (p * w - r * u), slope[X.W] - (q * u - p * v)])
-                - felt_g
-            )
-            velocity = np.array([slope[X.P_N], -slope[X.P_E], slope[X.H]])
-        else:
-            force, velocity = -felt_g, np.zeros(3)
+            moved = slope[X.U] - (r * v - q * w), slope[X.V] - (p * w - r * u), slope[X.W] - (q * u - p * v)
+            velocity = slope[X.P_N], -slope[X.P_E], slope[X.H]
+        pulls = -sin_theta, cos_theta * sin_phi, cos_theta * cos_phi
+        force = [part - GRAVITY_M_S2 * pull for part, pull in zip(moved, pulls)]
         psi = math.pi - (math.pi - psi) % (2.0 * math.pi)  # in (-pi, pi]
         return VehicleState(
             np.array([p_n, -p_e, h]),
-            velocity,
+            np.array(velocity),
             *(phi, theta, psi, p, q, r),
-            specific_force_m_s2=force,
+            specific_force_m_s2=np.array(force),
             motor_pwm=_motor_pwm(firmware, self._thrust_n.item(i) / plant.thrust_max_n),
             battery_pct=firmware.battery_pct(self.time_s),
         )

@@ -2,7 +2,8 @@
 
 The aircraft flies on with its last tilt for two seconds when nobody commands it, and a driver that is started again
 needs as long. What it may do is said in memory that both share; it has nothing of the driver's that could fail with it.
-A driver that is started again takes its vehicles over from the keeper of the one that died (`take_over`).
+A driver that is started again takes its vehicles over from the keeper of the one that died (`take_over`); programs of
+other users cannot.
 
     hovers  at once when the driver has died, after STALE_S when it hangs
     lands   HOVER_S later, if nobody has taken over
@@ -28,11 +29,13 @@ _LOOK_S = 0.05
 _SEND_S = 0.025  # as the driver
 _AT_PORT = 5556
 _END_S = 2.0  # for the process to end
+_MOST_READ = 16  # messages at the door in one look
 # Constant numbers: 1 lets the aircraft count from there, so each datagram is accepted, and what the driver sends next.
 _HOVER = b"AT*PCMD_MAG=1,0,0,0,0,0,0,0\r"
 _FLY, _LAND = (_HOVER + b"AT*REF=2,%d\r" % bits for bits in (0x11540200, 0x11540000))
 _SLOT = struct.Struct("=dd")  # of one vehicle: when the driver said it [s, monotonic], what
 _NOBODY, _GROUND, _FLIES = 0.0, 1.0, 2.0
+_CREDENTIALS = struct.Struct("=3i")  # process, user and group that sent a message, as the kernel adds them
 
 
 def _door(address):
@@ -43,7 +46,7 @@ def _door(address):
 def take_over(address):
     """Nobody but us commands the vehicle from now on."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock, contextlib.suppress(OSError):  # there is no keeper
-        sock.sendto(b"\0", _door(address))
+        sock.sendto(b"\0", socket.MSG_DONTWAIT, _door(address))
 
 
 class Keeper:
@@ -93,13 +96,14 @@ class _Kept:
         self._address, self._memory, self._offset = address, memory, offset
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._since_s = None  # when the driver fell silent
-        self.door = None
+        self._door = None
         self.over = False
 
     def step(self, now_s, driver_is_dead):
         """Send what is due. Returns whether it must be called soon."""
         said_s, what = _SLOT.unpack_from(self._memory, self._offset)
         silent = driver_is_dead or now_s - said_s > STALE_S
+        self.over = self.over or driver_is_dead and self._is_taken_over()
         if self.over or what == _NOBODY or not silent:
             self._since_s, self.over = None, self.over or driver_is_dead
             return False
@@ -112,12 +116,24 @@ class _Kept:
         self.over = driver_is_dead and held_s >= LAND_S
         return True
 
-    def open_door(self):
-        """Let a new driver in."""
+    def _is_taken_over(self):
+        """Whether a program of our user has said so."""
+        if self._door is None:
+            self._open_door()
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_MOST_READ if self._door is not None else 0):
+                _, ((_, _, data),), _, _ = self._door.recvmsg(1, socket.CMSG_SPACE(_CREDENTIALS.size))
+                if _CREDENTIALS.unpack(data)[1] == os.getuid():
+                    return True
+        return False
+
+    def _open_door(self):
         door = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        door.setblocking(False)
+        door.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         try:
             door.bind(_door(self._address))
-            self.door = door
+            self._door = door
         except OSError:  # the keeper of another dead driver has not ended yet
             door.close()
 
@@ -128,23 +144,13 @@ def main(memory, *addresses):
         vehicles = [_Kept(address, shared, k * _SLOT.size) for k, address in enumerate(addresses)]
         pipe, driver_is_dead, soon = 0, False, False
         while not all(vehicle.over for vehicle in vehicles):
-            doors = {vehicle.door: vehicle for vehicle in vehicles if vehicle.door is not None}
-            heard = [*doors] if driver_is_dead else [pipe]
-            readable, _, _ = select.select(heard, (), (), _SEND_S if soon else _LOOK_S)
-            if pipe in readable:
+            if select.select([] if driver_is_dead else [pipe], (), (), _SEND_S if soon else _LOOK_S)[0]:
                 if os.read(pipe, 1):
                     return
                 driver_is_dead = True
-            for door in readable:
-                if door in doors:
-                    doors[door].over = True
             now_s = time.monotonic()
             steps = [vehicle.step(now_s, driver_is_dead) for vehicle in vehicles]
             soon = any(steps)
-            if driver_is_dead:
-                for vehicle in vehicles:
-                    if vehicle.door is None:
-                        vehicle.open_door()
 
 
 if __name__ == "__main__":

@@ -166,7 +166,8 @@ class ControlLoop:
         )
         self._to_controls = ControlsConverter(vehicle_types)
         self.tell_battery = self._to_controls.tell_battery
-        self._delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
+        delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
+        self._delays_s = delays_s.tolist()
         self._everyone = np.arange(len(vehicle_types))
         self.sent = CommandHistory(len(vehicle_types))  # whoever knows what was really sent appends it here
         self.set_params(params)
@@ -191,10 +192,8 @@ class ControlLoop:
 
     def times_s(self, stamp_s, now_s):
         """(1 + k,) times of the references that an update wants: at the stamp, and where its commands take effect."""
-        times_s = np.empty(1 + len(self._delays_s))
-        times_s[0] = stamp_s
-        times_s[1:] = self._delays_s + (stamp_s + max(0.0, now_s - stamp_s))
-        return times_s
+        sent_s = stamp_s + max(0.0, now_s - stamp_s)
+        return np.array([stamp_s, *(delay_s + sent_s for delay_s in self._delays_s)])
 
     def pick(self, values):
         """(present, ahead), both (orders, n, 4), of references (1 + k, orders, n, 4) at `times_s`."""

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import rospy
 
-from risc_experiments.programs import find
+from risc_experiments.programs import find, successor
 from risc_maap_msgs.msg import FaultRecord, Faults
 from risc_simulator.faults import REGISTRY
 
@@ -34,7 +34,7 @@ class _Act:
 
 
 class ProgramFaults:
-    """One thread carries them out. A killed program is back when another process does what it did."""
+    """One thread carries them out. A killed program is back when its node runs again."""
 
     def __init__(self, identity):
         """identity: of the flight's `launching.Launch`."""
@@ -114,18 +114,15 @@ class ProgramFaults:
         self._tell()
         if act.program.killed:
             self._killed.add(act.program.process.pid)
-            self._plan(now_s + _AGAIN_S, self._look_for_another, act)
+            self._plan(now_s + _AGAIN_S, self._look_for_successor, act)
         elif event.duration_s < math.inf:
             act.record.ends = act.record.begins + rospy.Duration.from_sec(event.duration_s)
             self._plan(now_s + event.duration_s, self._end, act)
 
-    def _look_for_another(self, act):
-        try:
-            other = find(self._identity, act.event.program, act.event.vehicle)
-        except LookupError:
-            other = act.program
-        if other.process == act.program.process:
-            self._plan(time.monotonic() + _AGAIN_S, self._look_for_another, act)
+    def _look_for_successor(self, act):
+        other = successor(self._identity, act.program)
+        if other is None:
+            self._plan(time.monotonic() + _AGAIN_S, self._look_for_successor, act)
         else:
             self._end(act, rospy.Time.now() - rospy.Duration.from_sec(other.age_s))
 

@@ -29,11 +29,14 @@ def row_of(cell, flights):
     flown = {seed: figures for seed, figures in flights.items() if "error" not in figures}
     events = [event for figures in flown.values() for event in figures["events"]]
     delays_ms = [delay_ms for *_, delay_ms, _ in events if delay_ms is not None]
-    minutes = sum(figures["minutes"] for figures in flown.values())
+    minutes, vehicle_minutes = (
+        sum(figures[what] for figures in flown.values()) for what in ("minutes", "vehicle_minutes")
+    )
     samples = sum(figures["samples"] for figures in flown.values())
     square_m2 = sum(figures["square_m2"] for figures in flown.values())
     row = key_of(cell) | {
         "minutes": round(minutes, 4),
+        "vehicle_minutes": round(vehicle_minutes, 4),
         "flights": len(flown),
         "failed": len(flights) - len(flown),
     }
@@ -68,10 +71,9 @@ def _percentiles(delays_ms):
 
 def totals_of(rows):
     """The sums of all rows."""
-    sums = {
-        key: sum(row[key] for row in rows) for key in ("minutes", "flights", "failed", "events", "unsafe", *COUNTED)
-    }
-    sums["minutes"] = round(sums["minutes"], 4)
+    summed = ("minutes", "vehicle_minutes", "flights", "failed", "events", "unsafe", *COUNTED)
+    sums = {key: sum(row[key] for row in rows) for key in summed}
+    sums |= {what: round(sums[what], 4) for what in ("minutes", "vehicle_minutes")}
     for what in COUNTED:
         sums[what + "_per_minute_bounds"] = rate_bounds(sums[what], sums["minutes"])
     return sums

@@ -1,6 +1,7 @@
 """A flight of the scorecard: from what was flown to its figures, and many of them, each kept in a file at once."""
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import math
@@ -17,9 +18,12 @@ import risc_experiments
 import risc_lab
 import risc_simulator
 from risc_control.failsafe import FailsafeLevel
-from risc_experiments.offline import LATENCY_S, fly
+from risc_experiments.offline import JUDGE_EVERY, fly
+from risc_experiments.offline_chain import FRAME_S, LATENCY_S
 from risc_experiments.workers import in_order
 from risc_lab.lab.yaml_reader import member_folders, package_file
+from risc_simulator.faults import fault_settings
+from risc_simulator.models.integrator import REST_HEIGHT_M
 
 _SOURCES = (cortex_ros, risc_control, risc_estimation, risc_experiments, risc_lab, risc_simulator)
 UNSEEN = "unseen"  # how an event was noticed; otherwise the name of a level
@@ -44,17 +48,25 @@ def score(item):
     try:
         result = fly(flight)
     except RuntimeError as error:
-        return {"minutes": 0.0, "error": str(error), "took_s": round(time.process_time() - began_s, 3)}
+        took_s = round(time.process_time() - began_s, 3)
+        return {"minutes": 0.0, "vehicle_minutes": 0.0, "error": str(error), "took_s": took_s}
     alarms = _alarms(result)
     return {
         "minutes": round((result.flown_s - result.reached_s) / 60.0, 5),
+        "vehicle_minutes": round(_vehicle_minutes(result), 5),
         **_errors(result),
         "events": _events(flight, result, alarms, settle_s),
-        "false_alarms": _false_alarms(result, alarms, settle_s),
+        "false_alarms": _false_alarms(flight, result, alarms, settle_s),
         "breach": ["%s %s %s" % (breach.name, breach.reason, _when(result, breach)) for breach in result.breaches],
         "contact": ["%s and %s %s" % (touch.name, touch.other, _when(result, touch)) for touch in result.contacts],
         "took_s": round(time.process_time() - began_s, 3),
     }
+
+
+def _vehicle_minutes(result):
+    """How long each vehicle was up since the course was reached, all together."""
+    up = result.actual_m[result.times_s >= result.reached_s, :, 2] > REST_HEIGHT_M + 0.01
+    return np.count_nonzero(up) * JUDGE_EVERY * FRAME_S / 60.0
 
 
 def _when(result, event):
@@ -118,15 +130,20 @@ def _is_ready(result, alarms, vehicle, time_s):
     return result.left_s[vehicle] > time_s and not any(alarm.time_s < time_s < alarm.until_s for alarm in mine)
 
 
-def _false_alarms(result, alarms, settle_s):
+def _false_alarms(flight, result, alarms, settle_s):
     """How many levels above OK nothing explains: no fault, and no level that a fault explains."""
-    explained = []
-    for outcome in result.faults:
+    explained, lasting, vehicles = [], [], {name: i for i, name in enumerate(result.namespaces)}
+    for event, outcome in zip(flight.faults, result.faults):
         end_s = math.inf if outcome.end_s is None else outcome.end_s
         explained.append((outcome.start_s, end_s + settle_s))
+        if fault_settings(event.fault).lasts:
+            lasting.append((outcome.start_s, vehicles.get(event.vehicle)))  # None: all
     count = 0
     for alarm in alarms:
-        if any(begin_s <= alarm.time_s <= end_s for begin_s, end_s in explained):
+        is_explained = any(begin_s <= alarm.time_s <= end_s for begin_s, end_s in explained)
+        if is_explained or any(
+            begin_s <= alarm.time_s and vehicle in (None, alarm.vehicle) for begin_s, vehicle in lasting
+        ):
             explained.append((alarm.time_s, alarm.until_s + settle_s))
         elif alarm.how != UNSEEN:
             count += 1
@@ -140,25 +157,45 @@ class Record:
         """identity: dict for JSON; a file of another one is kept beside, as FILE.old.
 
         flown: {(fault, severity, estimator, controller): {seed: figures}}.  notice: what became of an earlier file.
+        Raises ValueError for a file that another scorecard writes, or that is damaged.
         """
         self.flown, self.notice = {}, ""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE
-        lines = path.read_bytes().split(b"\n") if path.exists() else []
-        whole = lines[:-1]  # what was cut off in the middle of a line is flown again
+        self._open(path)
+        whole = path.read_bytes().split(b"\n")[:-1]  # what was cut off in the middle of a line is flown again
         if whole and _loaded(whole[0]) == identity:
-            for line in whole[1:]:
-                self._take(json.loads(line))
-            path.write_bytes(b"".join(line + b"\n" for line in whole))
-            self.notice = "going on with the %d flights in %s" % (len(whole) - 1, path)
-        else:
-            if whole:
-                old = path.with_name(FILE + ".old")
-                path.replace(old)
-                self.notice = "beginning anew: %s; the flights of before are in %s" % (
-                    _difference(_loaded(whole[0]), identity), old)  # fmt: skip
-            path.write_text(json.dumps(identity) + "\n", encoding="utf-8")
+            for number, line in enumerate(whole[1:], 2):
+                if not (loaded := _loaded(line)):
+                    raise ValueError(
+                        "%s, line %d is damaged: delete it, and its flight is flown again" % (path, number)
+                    )
+                self._take(loaded)
+            self._file.truncate(sum(len(line) + 1 for line in whole))
+            self.notice = "going on with the flights in %s: %d" % (path, len(whole) - 1)
+            return
+        if whole:
+            old = path.with_name(FILE + ".old")
+            path.replace(old)
+            self.notice = "beginning anew: %s; the flights of before are in %s" % (
+                _difference(_loaded(whole[0]), identity), old)  # fmt: skip
+            self.close()
+            self._open(path)
+        self._file.truncate(0)
+        self._write(identity)
+
+    def _open(self, path):
         self._file = path.open("a", encoding="utf-8")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.close()
+            text = "%s is being written by another scorecard: wait for its end, or give this one another --out"
+            raise ValueError(text % path) from None
+
+    def _write(self, line):
+        self._file.write(json.dumps(line) + "\n")
+        self._file.flush()
 
     def _take(self, line):
         self.flown.setdefault(tuple(line["cell"]), {})[line["seed"]] = line
@@ -167,8 +204,7 @@ class Record:
         """One more was flown."""
         line = {"cell": list(cell), "seed": seed} | figures
         self._take(line)
-        self._file.write(json.dumps(line) + "\n")
-        self._file.flush()
+        self._write(line)
 
     def minutes(self):
         """{cell: {seed: minutes}}"""
@@ -183,6 +219,7 @@ class Record:
 
 
 def _loaded(line):
+    """What a line holds; {} of one that is damaged."""
     try:
         return json.loads(line)
     except ValueError:

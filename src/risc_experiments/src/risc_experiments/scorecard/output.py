@@ -14,11 +14,12 @@ from data_extraction.report import page
 from risc_control.failsafe import SafetyLimits
 from risc_experiments.scorecard.figures import COUNTED, KEY
 from risc_experiments.scorecard.plan import GRADES
+from risc_experiments.soak import table
 from risc_lab.lab.yaml_reader import package_file
 
 _SCALARS = (
-    *KEY, "minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms", "detect_p99_ms",
-    "unsafe", *COUNTED,
+    *KEY, "minutes", "vehicle_minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms",
+    "detect_p99_ms", "unsafe", *COUNTED,
 )  # fmt: skip
 _COLOURS = {grade: plots.COLOURS[k] for grade, k in zip(GRADES, (2, 4, 1))}
 _OTHER = plots.COLOURS[0]
@@ -87,7 +88,7 @@ def write_json(scorecard, path):
 
 
 HEAD = (
-    "fault", "severity", "estimator", "controller", "minutes", "RMSE [mm]", "worst [m]", "detected", "p50 [ms]",
+    "fault", "severity", "estimator", "controller", "minutes", "RMSE [mm]", "worst [mm]", "detected", "p50 [ms]",
     "p99 [ms]", "false alarms (per minute)", "breaches (per minute)", "contacts (per minute)",
 )  # fmt: skip
 
@@ -100,7 +101,7 @@ def cells(row):
         share = "%d of %d (%.0f–%.0f %%)" % (row["detected"], row["events"], 100.0 * low, 100.0 * high)
     counted = ["%d (%s)" % (row[what], rate(row, what)) for what in COUNTED]
     return [*(row[key] for key in KEY), minutes_text(row["minutes"]), _number(row["rmse_m"], 1e3, 1),
-            _number(row["worst_m"], 1.0, 2), share, _number(row["detect_p50_ms"], 1.0, 0),
+            _number(row["worst_m"], 1e3, 0), share, _number(row["detect_p50_ms"], 1.0, 0),
             _number(row["detect_p99_ms"], 1.0, 0), *counted]  # fmt: skip
 
 
@@ -135,12 +136,6 @@ def _number(value, factor, digits):
     return "–" if value is None else "%.*f" % (digits, factor * value)
 
 
-def _table(head, rows, texts):
-    """Markdown. texts: so many columns from the left are texts."""
-    lines = [head, ["---"] * texts + ["---:"] * (len(head) - texts), *rows]
-    return ["| %s |" % " | ".join(map(str, line)) for line in lines]
-
-
 def markdown(scorecard):
     """The scorecard as Markdown, which is what a terminal shows, too."""
     totals = scorecard["totals"]
@@ -148,10 +143,11 @@ def markdown(scorecard):
     revision = scorecard["revision"] or "unknown"
     lines = ["# Scorecard (simulated)" + ladder, ""]
     lines += ["%s, revision %s: `%s`" % (scorecard["date"], revision, scorecard["command"]), ""]
-    lines += _table(HEAD, map(cells, scorecard["rows"]), 4)
+    lines += table.markdown(HEAD, map(cells, scorecard["rows"]), range(len(KEY)))
     counted = ["%d %s (%s per minute)" % (totals[what], WORDS[what], rate(totals, what)) for what in COUNTED]
-    flown = minutes_text(totals["minutes"]), totals["flights"], totals["events"], ", ".join(counted)
-    lines += ["", "In all %s minutes in %d flights, %d faults: %s." % flown]
+    times = [minutes_text(totals[what]) for what in ("minutes", "vehicle_minutes")]
+    flown = *times, totals["flights"], totals["events"], ", ".join(counted)
+    lines += ["", "In all %s minutes (%s of single vehicles) in %d flights, %d faults: %s." % flown]
     lines += ["In brackets: bounds of 95 %. " + MEANING, ""]
     if not scorecard["complete"]:
         lines += ["It is not complete: it was interrupted.", ""]
@@ -168,7 +164,7 @@ def markdown(scorecard):
             lines += [OTHERWISE % ", ".join(scorecard["against"]["conditions"]), ""]
         items = [item for item in scorecard["against"]["differences"] if item["significant"]]
         if items:
-            lines += [*_table((*KEY, "figure", "here", "there", "p"), map(compared, items), 5), ""]
+            lines += [*table.markdown((*KEY, "figure", "here", "there", "p"), map(compared, items), range(5)), ""]
         lines += ["%d of %d figures of the same rows differ significantly (5 %% in all, Holm)." % (
             len(items), len(scorecard["against"]["differences"]))]  # fmt: skip
     return "\n".join(lines).rstrip() + "\n"
@@ -180,7 +176,8 @@ MEANING = (
     "Errors: against truth, while on the course. Detected: from the start of a fault to the first failsafe level above "
     "OK, or until a vehicle is not seen any more, whichever is first; the p99 of fewer than 100 is the largest. False "
     "alarms: levels above OK that no fault explains. Breaches: into the net or onto the floor. Contacts: two vehicles "
-    "touched. A minute counts once for the whole fleet, on the course, until all of it has landed."
+    "touched. A minute counts once for the whole fleet, on the course, until all of it has landed; minutes of "
+    "single vehicles are those that each was up."
 )
 
 
@@ -235,18 +232,29 @@ def draw(scorecard):
     for axes in (error, delay):
         low, high = axes.dataLim.intervalx
         axes.set_xlim(*((low / 1.3, high * 1.3) if 0.0 < low <= high < math.inf else (10.0, 1000.0)))
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_locator(LogLocator(subs=_ticks_of(*axes.get_xlim())))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
     delay.axvline(1e3 * SafetyLimits.state_hold_s, color="#888888", linewidth=0.8, linestyle=":")
-    severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]
-    handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=_COLOURS[grade], label=grade)
-               for grade in severities]  # fmt: skip
-    handles.append(Line2D([], [], marker="o", linestyle="", markersize=4, color=_OTHER, markerfacecolor="white",
-                          label="less than half detected"))  # fmt: skip
+    known = {row["severity"] for row in rows}
+    handles = [_dot(_COLOURS[grade], grade) for grade in GRADES if grade in known]
+    if known - set(GRADES):
+        handles.append(_dot(_OTHER, "without grades"))
+    handles.append(_dot("#444444", "less than half detected", markerfacecolor="white"))
     handles += [Line2D([], [], marker=marker, linestyle="", color="#444444", label=WORDS[what])
                 for what, marker in _MARKERS.items()]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     ladder = "" if scorecard["ladder"] else ", without the safety ladder"
     figure.suptitle("Scorecard of %s min (simulated)%s" % (minutes_text(scorecard["totals"]["minutes"]), ladder))
     return figure
+
+
+def _dot(colour, label, **style):
+    """Of the legend."""
+    return Line2D([], [], marker="o", linestyle="", markersize=4, color=colour, label=label, **style)
+
+
+def _ticks_of(low, high):
+    """Multiples of powers of ten that have room for their numbers on a logarithmic axis."""
+    decades = math.log10(high / low)
+    return (1.0, 2.0, 5.0) if decades < 2.0 else (1.0, 3.0) if decades < 3.5 else (1.0,)

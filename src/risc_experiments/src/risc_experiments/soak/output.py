@@ -39,8 +39,7 @@ def result_of(soak):
         "violation": violation,
         "flights": soak.flights,
         "faults": table.rows_of(soak.faults),
-        "outcomes": soak.outcomes,
-        "reactions_ms": soak.reactions_ms(),
+        "all_faults": table.row_of("all", soak.faults),
         "latency_ms": {name: _drift(soak.latencies, name + "_ms", soak.warm_s) for name in ("p50", "p99")},
         "put_back": dict(soak.put_back),
         "lab": {name: lab.get(name) for name in ("late_ms", "stalls", "frames_skipped", "least_separation_m")},
@@ -139,13 +138,11 @@ def facts(result):
     late_ms, latency_ms = result["lab"]["late_ms"], result["latency_ms"]
     newest = [_number(latency_ms[name]["last"], 1) for name in ("p50", "p99")]
     first = [_number(latency_ms[name]["first"], 1) for name in ("p50", "p99")]
-    reactions = [_number(result["reactions_ms"][name], 0) for name in ("p50", "p99", "max")]
-    events = sum(row["events"] for row in result["faults"])
-    outcomes = ", ".join("%d %s" % (count, name) for name, count in result["outcomes"].items())
+    reactions = [_number(result["all_faults"][name], 0) for name in ("p50_ms", "p99_ms", "max_ms")]
     put_back = sum(result["put_back"].values())
     told = [
         ("flown", "%.2f h of %g h, %d flights judged" % (result["flown_h"], result["asked_h"], len(result["flights"]))),
-        ("faults", "%d%s" % (events, " (%s)" % outcomes if outcomes else "")),
+        ("faults", table.events_text(result["all_faults"])),
         ("put back", "vehicles %d times" % put_back),
         ("frame to command", "p50 %s ms, p99 %s ms; at first %s, %s" % (*newest, *first)),
         ("reactions", "p50 %s, p99 %s, largest %s ms" % tuple(reactions)),

@@ -10,9 +10,6 @@ import sys
 import time
 from collections import Counter
 
-import numpy as np
-
-from data_extraction.flight_metrics import percentiles_ms
 from data_extraction.report.origin import FLIGHT, PARAMETERS
 from risc_experiments import fly
 from risc_experiments.flight_record import write_flight, write_parameters
@@ -178,11 +175,6 @@ class Soak:
         """The same for a process, which may have begun later."""
         return max(self.warm_s, process.since_s + self.params.warm_up_of(self.duration_s))
 
-    @property
-    def outcomes(self):
-        """{outcome: how many faults ended so}."""
-        return dict(sorted(Counter(fault["outcome"] for fault in self.faults).items()))
-
     def forget(self):
         """Remove what was written, for another one that begins anew in the same folder."""
         self.record.close()
@@ -194,14 +186,12 @@ class Soak:
         reservation = PortReservation()
         try:
             self._start(reservation)
-            with contextlib.suppress(EndError):
-                try:
-                    while not self._is_over():
-                        self._fly()
-                    self._await_judge()
-                except EndError as stop:
-                    self._note(stop)
-                    raise
+            try:
+                while not self._is_over():
+                    self._fly()
+                self._await_judge()
+            except EndError as stop:
+                self._note(stop)
         finally:
             self._end()
             reservation.close()
@@ -264,14 +254,12 @@ class Soak:
         self._interrupt.clear()
         if self._programs is not None:
             self._programs.end_all()  # one that hangs does not end
-        with contextlib.suppress(EndError):
-            try:
-                self._stop_recording(None)
-                self._await_judge()
-            except EndError as stop:
-                if self.violation is None and stop.violation is not None:
-                    self._note(stop)
-                raise
+        try:
+            self._stop_recording(None)
+            self._await_judge()
+        except EndError as stop:
+            if self.violation is None and stop.violation is not None:
+                self._note(stop)
         self._judge.end()
         if self._launch is not None:
             self._progress.show("stopping")
@@ -542,25 +530,18 @@ class Soak:
 
     # ------------------------------------------------------------------ for people
 
-    def reactions_ms(self):
-        """Percentiles of all reactions so far."""
-        reactions_ms = [ms for fault in self.faults for ms in fault["reactions_ms"].values()]
-        return percentiles_ms(1e-3 * np.array(reactions_ms))
-
     def line(self):
         """How it goes, in a line."""
         minutes = int(self.flown_s / 60.0)
         newest = self.flights[-1]["latency_ms"] if self.flights else {"p50": None, "p99": None}
         memory = self.totals.drift("own_mb", self.warm_s)
         sums = [self.totals.drift(name, self.warm_s).last or 0.0 for name in ("pss_mb", "descriptors", "threads")]
-        outcomes = ", ".join("%d %s" % (count, outcome) for outcome, count in self.outcomes.items())
-        parts = ["%d:%02d h" % divmod(minutes, 60), "flight %d" % self.number,
-                 "%d faults%s" % (len(self.faults), " (%s)" % outcomes if outcomes else "")]  # fmt: skip
+        faults = table.row_of("all", self.faults)
+        parts = ["%d:%02d h" % divmod(minutes, 60), "flight %d" % self.number, "faults " + table.events_text(faults)]
         if newest["p50"] is not None:
             parts.append("command after %.1f, p99 %.1f ms" % (newest["p50"], newest["p99"]))
-        reactions_ms = self.reactions_ms()
-        if reactions_ms["p99"] is not None:
-            parts.append("reaction p99 %.0f ms" % reactions_ms["p99"])
+        if faults["p99_ms"] is not None:
+            parts.append("reaction p99 %.0f ms" % faults["p99_ms"])
         grows = "" if memory.slope is None else ", own %+.1f MB/h" % memory.slope
         parts.append("%.0f MB%s" % (sums[0], grows))
         parts.append("%d descriptors, %d threads" % tuple(sums[1:]))

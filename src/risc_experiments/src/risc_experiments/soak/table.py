@@ -40,9 +40,11 @@ def rows_of(faults):
 
 
 def row_of(name, faults):
-    """One row."""
+    """One row. Percentiles are measured reactions (nearest rank): the p99 of fewer than 100 is the largest."""
     reactions_ms = [ms for fault in faults for ms in fault["reactions_ms"].values()]
-    percentiles = np.percentile(reactions_ms, [50, 99, 100]).tolist() if reactions_ms else [None] * 3
+    percentiles = [None] * 3
+    if reactions_ms:
+        percentiles = np.percentile(reactions_ms, [50, 99, 100], method="inverted_cdf").tolist()
     return {
         "fault": name,
         "events": len(faults),
@@ -51,6 +53,12 @@ def row_of(name, faults):
         "outcomes": dict(sorted(Counter(fault["outcome"] for fault in faults).items())),
         "unsafe": sum(not fault["safe"] for fault in faults),
     }
+
+
+def events_text(row):
+    """How many faults, and how they ended, as text."""
+    told = ", ".join("%d %s" % (count, outcome) for outcome, count in row["outcomes"].items())
+    return "%d%s" % (row["events"], " (%s)" % told if told else "")
 
 
 def cells(row):

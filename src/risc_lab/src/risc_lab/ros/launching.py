@@ -14,6 +14,8 @@ import uuid
 
 import psutil
 
+from risc_lab.mortal import mortal
+
 MARK = "RISC_MAAP_FLIGHT"  # every process of a flight carries its identity in this environment variable
 _PORTS = range(15000, 30000)  # of TCP, for masters and pages
 _MASTER_PATIENCE_S = 20.0  # after that roslaunch starts one of its own
@@ -70,7 +72,7 @@ class Launch:
     """One roslaunch, and a roscore unless one runs at its port, in sessions of their own, their output in a file.
 
     A roslaunch that owns the master ends everything when that dies; here the nodes go on with the connections that they
-    have. However the caller dies, nothing is left behind: the kernel interrupts both then, roslaunch ends its nodes,
+    have. However the caller dies, nothing is left behind: the kernel terminates both then, roslaunch ends its nodes,
     and the vehicle nodes land their vehicles. (The kernel watches the thread that starts it: let that be the main one.)
     """
 
@@ -99,11 +101,11 @@ class Launch:
                 pass_fds=() if reservation is None else (reservation.fileno(),),
                 start_new_session=True,  # a Ctrl-C at the terminal is for us: the vehicles must land first
             )
-            mortal, self._core = ("setpriv", "--pdeathsig", "INT"), None
+            self._core = None
             if not _listens(master_port):
-                self._core = start([*mortal, "roscore", "-p", str(master_port)])
+                self._core = start(mortal("TERM", ["roscore", "-p", master_port]))
                 wait_until(lambda: _listens(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
-            self._process = start([*mortal, "roslaunch", "--skip-log-check", str(launch_file), *arguments])
+            self._process = start(mortal("TERM", ["roslaunch", "--skip-log-check", launch_file, *arguments]))
 
     def running(self):
         """Whether roslaunch is alive; it ends by itself when a required node dies."""

@@ -1,26 +1,17 @@
-"""For tests with a graph: waiting, and a node in a process of its own that is spoken to by its topics and services."""
+"""For tests with a graph: a node in a process of its own that is spoken to by its topics and services."""
 
 import itertools
 import os
 import signal
 import subprocess
-import time
 
 import roslib.packages
 import rospy
 
-LIMIT_S = 60.0  # for what happens within a second or two on a quiet computer
+from risc_lab.testing import LIMIT_S, wait_for
+
 _UNKNOWN = "unknown"  # the name that rospy gives a publisher until its header has come
 _numbers = itertools.count(1)
-
-
-def wait_for(condition, what, limit_s=LIMIT_S):
-    """Raises AssertionError when the condition does not come true."""
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() > deadline_s:
-            raise AssertionError("not within %g s: %s" % (limit_s, what))
-        time.sleep(0.005)
 
 
 def publishers_heard(subscriber):

@@ -114,9 +114,10 @@ class MocapCameras:
     def _see(self, time_s, step_s, exact_m):
         params = self.params
         losses = params.occlusions_per_marker_hz * step_s
-        noise_m = params.noise_std_m * self._noise.standard_normal(exact_m.shape)
+        noise = self._noise.standard_normal(exact_m.shape)
         chances = self._occlusion.random((2 if params.occlusions_per_marker_hz > 0.0 else 0, len(exact_m)))
-        return _see(time_s, losses, params.occlusion_mean_s, exact_m, noise_m, chances, self._hidden_until_s)
+        means = losses, params.occlusion_mean_s, params.noise_std_m
+        return _see(time_s, *means, exact_m, noise, chances, self._hidden_until_s)
 
     def _unidentified(self, time_s, step_s):
         """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""
@@ -136,13 +137,14 @@ class MocapCameras:
 
 
 @compiled
-def _see(time_s, losses, loss_mean_s, exact_m, noise_m, chances, hidden_until_s):
+def _see(time_s, losses, loss_mean_s, noise_std_m, exact_m, noise, chances, hidden_until_s):
     """(n, 3) markers with noise; those that are hidden, or get lost by chance now, are NaN.
 
-    losses: expected number of times that a marker gets lost in this frame. chances: (2, n) uniform numbers, which
-    decide whether a marker gets lost and for how long; (0, n): none does. hidden_until_s: (n,), kept from call to call.
+    losses: expected number of times that a marker gets lost in this frame. noise: (n, 3) normal numbers. chances:
+    (2, n) uniform numbers, which decide whether a marker gets lost and for how long; (0, n): none does.
+    hidden_until_s: (n,), kept from call to call.
     """
-    markers_m = exact_m + noise_m
+    markers_m = exact_m + noise_std_m * noise
     starts = -math.expm1(-losses) if len(chances) else 0.0  # probability, as of a Poisson process
     for k in range(len(markers_m)):
         if starts > 0.0 and chances[0, k] < starts and time_s >= hidden_until_s[k]:

@@ -45,6 +45,8 @@ class RadioLink:
         """
         if time_s > self._collected_s:
             self._collected_s = time_s
+        if not self._pending:
+            return []
         delivered = []
         closed = self._slots_ended(time_s)
         while self._pending and self._pending[0].slot < closed:

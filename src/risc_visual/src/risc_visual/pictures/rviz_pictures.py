@@ -24,6 +24,7 @@ from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
 from data_extraction.report.topics import fits
 from risc_lab.lab.yaml_reader import package_file
+from risc_lab.mortal import mortal
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes, wait_until
 from risc_visual.drawing.ros.markers import LABEL_M, TEXT_M
@@ -390,13 +391,13 @@ def _wait_for_rest(launch):
 def _play(bag_path, topics, start_s, stop_s, rate, network):
     """Play a part of a bag; the clock that it publishes stands still from then on."""
     # the player itself: the script `rosbag` would leave it behind when it is killed
-    command = ["setpriv", "--pdeathsig", "TERM", *find_node("rosbag", "play"), "--quiet", "--clock", "--rate=%g" % rate]
+    command = [*find_node("rosbag", "play"), "--quiet", "--clock", "--rate=%g" % rate]
     command += ["--start=%.3f" % start_s, "--duration=%.3f" % (stop_s - start_s)]
-    command += ["--topics", *topics, "--bags", str(bag_path), "__name:=player"]
+    command += ["--topics", *topics, "--bags", bag_path, "__name:=player"]
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     timeout_s = (stop_s - start_s) / rate + PLAY_MARGIN_S
     try:
-        done = subprocess.run(command, env=dict(os.environ, **network), timeout=timeout_s, **pipes)
+        done = subprocess.run(mortal("TERM", command), env=dict(os.environ, **network), timeout=timeout_s, **pipes)
     except subprocess.TimeoutExpired:
         raise RuntimeError("rosbag play of %s does not end within %g s" % (bag_path, timeout_s)) from None
     if done.returncode:

@@ -26,6 +26,8 @@ import cv2
 import numpy as np
 from PIL import ImageGrab
 
+from risc_lab.mortal import mortal
+
 _END_PATIENCE_S = 10.0
 _POLL_S = 0.2
 _LOG_LINES = 15
@@ -99,7 +101,7 @@ class VirtualScreen(contextlib.ExitStack):
         log = pathlib.Path(log or self._folder / ("%d.log" % len(self._programs)))
         with log.open("wb") as output:
             process = subprocess.Popen(
-                ["setpriv", "--pdeathsig", "TERM", *command],
+                mortal("TERM", command),
                 stdin=subprocess.DEVNULL,
                 stdout=stdout or output,
                 stderr=output,

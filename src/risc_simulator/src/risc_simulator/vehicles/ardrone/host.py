@@ -159,7 +159,7 @@ class ArdroneHost(VehicleHost):
                 self._sockets[name] = open_socket(kind, address, getattr(ports, name), vehicle.namespace)
             asks, most = "reads the configuration", MAX_CONTROL_CLIENTS
             self._readers = TcpClients(self._sockets["control"], control, self._notices, asks, most, self._write)
-            # not for offline flights: pyftpdlib makes semaphores when it is imported, which killed workers would leave
+            # pyftpdlib takes its time to import, and offline flights need none of it
             from risc_simulator.vehicles.ardrone.ftp import FtpServer
 
             self._ftp = FtpServer(self._sockets["ftp"], self._notices, ftp)

@@ -1,0 +1,14 @@
+"""For tests: waiting for what a thread or another process does. With a graph see `risc_lab.ros.testing`."""
+
+import time
+
+LIMIT_S = 60.0  # for what happens within a second or two on a quiet computer
+
+
+def wait_for(condition, what="", limit_s=LIMIT_S):
+    """Raises AssertionError when the condition does not come true. what: this is, in words."""
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise AssertionError("not within %g s%s" % (limit_s, what and ": " + what))
+        time.sleep(0.005)
