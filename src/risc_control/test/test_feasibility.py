@@ -41,7 +41,8 @@ def vehicles(kind="ardrone", count=1, **overrides):
 @pytest.mark.parametrize("name", sorted(COURSES))
 def test_the_courses_of_the_thesis_are_flown_as_ever(name, kind):
     for count in range(1, 5):
-        check_course(make_course(name, count), vehicles(kind, count), Arena())
+        for delay_s in (None, 0.3, 0.5):
+            check_course(make_course(name, count), vehicles(kind, count, command_delay_s=delay_s), Arena())
 
 
 @pytest.mark.parametrize("kind", ["ardrone", "iris"])

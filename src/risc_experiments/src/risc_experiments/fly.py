@@ -199,7 +199,8 @@ def prepare_fleet(args, subnet, folder):
     # better now than in the air
     if args.experiment not in BUMPER_STEPS:
         yaw = None if args.psi is None else YawProgram(math.radians(args.psi))
-        fleet_course(chosen, fleet.vehicles, fleet.arena, args.speed or "", yaw)
+        late = fleet.with_overrides(command_delay_s=args.delay)  # it needs more room to stop
+        fleet_course(chosen, late.vehicles, fleet.arena, args.speed or "", yaw)
     own_params(args.controller, fleet.vehicles, args.fleet)
     fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:

@@ -203,11 +203,11 @@ class RunningFlight:
 
     def _set_up_references_and_control(self, fleet, vehicle_types):
         flight = self._flight
+        own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
+        self._loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
         yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
         chosen, speed = find_course(flight.trajectory), flight.speed or ""
         course, factor = fleet_course(chosen, fleet.vehicles, fleet.arena, speed, yaw, **flight.course)
-        own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
-        self._loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
         order = self._loop.controller.ORDER
         ways = fleet_ways(WayLimits(), fleet.vehicles, factor)
         self._manager = make_manager(fleet.vehicles, course, limits=ways, order=order)
