@@ -18,10 +18,15 @@ STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
 
 
 class Iris:
-    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9."""
+    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9.
 
-    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05):
+    quicker: of its attitude loops.  level_rad: roll and pitch of what it takes for level.  trim_rad: that it believes
+    to be told with the sticks centred.
+    """
+
+    def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05, quicker=1.0, level_rad=(0.0, 0.0)):
         self.more, self.battery_pct, self._delay_s = more, battery_pct, delay_s
+        self.quicker, self.level_rad, self.trim_rad = quicker, level_rad, (0.0, 0.0)
         self.position_m, self.velocity_m_s = [0.3, -0.2, REST_M], [0.0, 0.0, 0.0]
         self.angles_rad, self.rates_rad_s = [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]
         self.armed, self.mode, self.arms = False, "STABILIZE", True
@@ -69,7 +74,8 @@ class Iris:
         thrust_m_s2 = max(0.0, thrust_m_s2) if self.armed else 0.0
         phi, theta, psi = self.angles_rad
         for axis, wanted in enumerate((roll * IRIS.tilt_max_rad, pitch * IRIS.tilt_max_rad)):
-            wn, zeta = 15.0, 0.8
+            wn, zeta = 15.0 * self.quicker, 0.8
+            wanted += self.level_rad[axis] + self.trim_rad[axis]
             bends = wn * wn * (wanted - self.angles_rad[axis]) - 2.0 * zeta * wn * self.rates_rad_s[axis]
             self.rates_rad_s[axis] += STEP_S * bends
             self.angles_rad[axis] += STEP_S * self.rates_rad_s[axis]
@@ -88,6 +94,36 @@ class Iris:
             self.angles_rad[:2] = self.rates_rad_s[:2] = [0.0, 0.0]
 
 
+class Sensors:
+    """What the autopilot reports of tilt and height, at 10 Hz, with the errors of the virtual IRIS+.
+
+    late_s: of the reports.  stuck: they repeat themselves.
+    """
+
+    def __init__(self, seed, late_s=0.08):
+        self.late_s, self.stuck = late_s, False
+        self._rng, self._on_the_way = np.random.default_rng(seed), []
+        self._barometer, self._drift, self._climb = 0.06, 0.3, 0.03  # errors, one standard deviation at first
+
+    def heard(self, iris, now_s):
+        """Status of each report that arrives now."""
+        noise = self._rng.standard_normal
+        self._barometer, self._drift, self._climb = (
+            math.exp(-0.1 / tau_s) * error + std * math.sqrt(-math.expm1(-0.2 / tau_s)) * noise()
+            for error, std, tau_s in ((self._barometer, 0.06, 0.3), (self._drift, 0.3, 60.0), (self._climb, 0.03, 10.0))
+        )
+        tilt_rad = tuple(a - b + 0.0009 * noise() for a, b in zip(iris.angles_rad, iris.level_rad))
+        height_m = iris.position_m[2] + self._drift + self._barometer
+        climb_m_s = iris.velocity_m_s[2] + self._climb + 0.03 * noise()
+        report = Status(FlightState.UNKNOWN, None, tilt_rad=tilt_rad, height_m=height_m, climb_m_s=climb_m_s)
+        if self.stuck and self._on_the_way:
+            report = self._on_the_way[-1][1]
+        self._on_the_way.append((now_s + self.late_s + 0.02 * self._rng.random(), report))
+        arrived = [report for due_s, report in self._on_the_way if due_s <= now_s]
+        self._on_the_way = [item for item in self._on_the_way if item[0] > now_s]
+        return arrived
+
+
 class Desk(JoystickDesk):
     """A pilot with its vehicle: ticks at 66 Hz, states and controls at 200 Hz, telemetry at 4 Hz, the board at 10 Hz,
     and the joystick at 20 Hz from its first message on.
@@ -102,7 +138,7 @@ class Desk(JoystickDesk):
             VehicleNodeParams(**{"joystick_timeout": 0.0, "preflight": False, **params}), IRIS, self.now_s
         )
         self.alive = {"state", "telemetry", "board", "radio", "node"}
-        self.look, self.fly = ALONE, fly
+        self.look, self.fly, self.sensors, self.seen = ALONE, fly, None, lambda own: own
         self.sent, self.said, self.states = [], [], []  # (time, Sticks); (time, level, text); FlightStates, in turn
         self.counts = dict.fromkeys(("takeoff", "land", "reset", "disarm"), 0)
         self._converter, self._step = ControlsConverter([IRIS]), 0
@@ -142,7 +178,7 @@ class Desk(JoystickDesk):
     def _hear(self):
         pilot, now_s, own = self.pilot, self.now_s, self.iris.own()
         if self._step % 3 == 0 and "state" in self.alive:
-            pilot.on_state(own, LATENCY_S, now_s, self.look)
+            pilot.on_state(self.seen(own), LATENCY_S, now_s, self.look)
         if self.fly is not None and (command := self.fly(self)) is not None:
             controls, _ = self._converter(
                 Command(*(np.array([part]) for part in command)), np.array([True]), np.array([False])
@@ -152,6 +188,9 @@ class Desk(JoystickDesk):
             battery_pct = math.ceil(self.iris.battery_pct)
             self._converter.tell_battery(0, battery_pct, now_s)
             self.take(pilot.on_status(Status(self.iris.state, battery_pct), now_s))
+        if self.sensors is not None and self._step % 20 == 0 and "telemetry" in self.alive:
+            for status in self.sensors.heard(self.iris, now_s):
+                self.take(pilot.on_status(status, now_s))
         if self._step % 20 == 0 and "board" in self.alive:
             pilot.on_wire(now_s)
         if self.message is not None and self._step % 10 == 0:
@@ -180,6 +219,22 @@ def level_at(height_m):
         return Command(0.0, 0.0, 0.0, IRIS.mass_kg * (G + up_m_s2))
 
     return fly
+
+
+def circling(desk):
+    """A controller that flies a circle, up and down."""
+    if not hasattr(desk, "integrals"):
+        desk.integrals = np.zeros(3)
+    own, angle = desk.iris.own(), 0.45 * desk.now_s
+    cosine, sine = math.cos(angle), math.sin(angle)
+    place, speed = np.array((cosine, sine, 1.0 + 0.3 * sine)), 0.45 * np.array((-sine, cosine, 0.3 * cosine))
+    errors = np.clip(place - own.position_m, -0.5, 0.5)
+    desk.integrals += STEP_S * errors
+    x, y, up_m_s2 = 3.0 * errors + 2.8 * (speed - own.velocity_m_s) + desk.integrals - 0.2 * place * (1.0, 1.0, 0.0)
+    psi = own.psi_rad
+    forward, right = math.cos(psi) * x - math.sin(psi) * y, -math.sin(psi) * x - math.cos(psi) * y
+    roll_rad, pitch_rad = (max(-0.25, min(0.25, math.atan2(part, G))) for part in (right, -forward))
+    return Command(roll_rad, pitch_rad, 0.0, IRIS.mass_kg * (G + up_m_s2))
 
 
 def flown(more=0.9, **params):

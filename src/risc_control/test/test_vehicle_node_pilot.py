@@ -1057,3 +1057,32 @@ def test_a_controller_with_other_full_scales_is_not_obeyed():
     desk.pilot.disagreement, since = "as before", len(desk.orders)
     desk.run(0.7)
     assert desk.count("land", since) > 0, "as if it were silent"
+
+
+@pytest.mark.parametrize(("speed_m_s", "stops_s"), [(0.0, 0.0), (2.5, 0.3), (2.5, 5.0)])
+def test_one_that_moves_stops_before_it_lands(speed_m_s, stops_s):
+    """Low on battery: told to land when it is slow, and after a second at the latest. Until then it brakes."""
+    desk = Desk().fly(autonomous=True)
+    desk.state, desk.battery = LEVEL._replace(velocity_m_s=(speed_m_s, 0.0, 0.0)), 5.0
+    while desk.pilot.ladder.verdict.level < FailsafeLevel.LAND:
+        sent = desk.run(0.005)
+    assert desk.count("land") == (speed_m_s == 0.0)
+    if speed_m_s:
+        sent += desk.run(min(stops_s, 0.9))
+        assert min(sticks.forward for _, sticks, _ in sent) < -0.5 and not desk.count("land")
+        desk.state = LEVEL if stops_s < 1.0 else desk.state
+        desk.run(0.2)
+        assert desk.count("land")
+
+
+def test_always_a_little_too_late_is_too_late():
+    """States of 0.11 s, one after the other: held, and after the time that a loss has landed, too."""
+    desk = Desk().fly(autonomous=True)
+    desk.alive.discard("state")
+    levels = []
+    for _ in range(120):
+        desk.pilot.on_state(LEVEL, 0.105, desk.now_s)
+        desk.run(0.005)
+        levels.append(desk.pilot.ladder.verdict.level)
+    held, landed = levels.index(FailsafeLevel.HOLD), levels.index(FailsafeLevel.LAND)
+    assert 0.005 * (landed - held) == pytest.approx(0.4, abs=0.02)

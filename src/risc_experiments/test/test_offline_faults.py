@@ -8,6 +8,7 @@ import pathlib
 import numpy as np
 import pytest
 
+from risc_control.vehicle_pilot import VehiclePilot
 from risc_experiments.offline import Flight, fly, main
 from risc_lab.registry import VARIABLE
 from risc_simulator.faults import FaultEvent, parse_fault
@@ -136,3 +137,24 @@ def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", math.inf)
     monkeypatch.setattr("risc_simulator.vehicles.iris.offline.FAILSAFE_S", math.inf)
     assert with_faults(lost, **flying).breaches
+
+
+@pytest.mark.parametrize("lands", [True, False])
+def test_states_that_are_always_a_little_too_late_end_a_flight(lands):
+    """Held for as long as it lasts, three vehicles would go back to their places on the circle at once: through its
+    middle, where they meet.
+    """
+    node = {} if lands else {"state_land_s": 60.0}
+    result = fly(Flight(vehicles=3, duration_s=6.0, faults=(parse_fault("delay:0.0941,duration_s=2.2@2"),), node=node))
+    assert [outcome.outcome for outcome in result.faults] == ["landed" if lands else "breach"]
+    assert bool(result.contacts) is not lands
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
+    """With its last tilt it has come near the net, fast, when it hears again that it is to land."""
+    if not brakes:
+        monkeypatch.setattr(VehiclePilot, "_brakes", lambda self, now_s: False)
+    fault = parse_fault("link_blackhole:1.6576,risc1@9.219")
+    result = fly(Flight("slanted8", vehicles=3, seed=620, psi_deg=200.0, duration_s=12.0, faults=(fault,)))
+    assert [outcome.outcome for outcome in result.faults] == ["landed" if brakes else "breach"]

@@ -389,6 +389,7 @@ def test_a_folder_that_is_no_soaks_is_named(tmp_path, capsys):
         (["1", "--faults", "fire"], "unknown fault 'fire'"),
         (["1", "--faults", ",,"], "needs at least one name"),
         (["1", "--duration", "6"], "no fault fits"),
+        (["1", "--seed", "-1"], "must be a number from 0 on, found -1"),
         (["1", "--controller", "none"], "--controller: unknown name 'none'"),
         (["1", "--settings", "/nowhere.yaml"], "/nowhere.yaml"),
     ],

@@ -4,12 +4,14 @@ import pathlib
 import re
 from collections import namedtuple
 
+import numpy as np
 import pytest
 from iris_flight import make_world
 
 from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.vehicles.iris.firmware import Mode
 from risc_simulator.vehicles.iris.offline import FAILSAFE_S, FAILSAFE_US, FRAME_S, OfflineLink
+from risc_simulator.vehicles.iris.sensors import sensor_errors
 
 CYCLE_S = 0.005
 Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node has them
@@ -77,9 +79,9 @@ def test_where_no_sticks_come_any_more_the_board_lowers_the_throttle_and_the_aut
     assert flight.autopilot.mode is Mode.STABILIZE
     flight.run(0.25)
     assert flight.autopilot.mode is Mode.LAND and flight.autopilot.channels_us[2] == 950
-    assert flight.link.report() == (FlightPhase.LANDING, 100, None)
+    assert flight.link.report(flight.world.time_s)[:2] == (FlightPhase.LANDING, 100)
     flight.run(6.0)
-    assert flight.link.report()[0] is FlightPhase.LANDED and not flight.world.crashes
+    assert flight.link.phase is FlightPhase.LANDED and not flight.world.crashes
 
 
 def test_orders_go_by_telemetry():
@@ -87,10 +89,10 @@ def test_orders_go_by_telemetry():
     flight.run(0.5, flight.hover())
     flight.link.order(FlightAction.LAND, flight.world.time_s)
     flight.run(0.1, flight.hover())
-    assert flight.link.report()[0] is FlightPhase.LANDING
+    assert flight.link.phase is FlightPhase.LANDING
     flight.link.order(FlightAction.CUT_MOTORS, flight.world.time_s)
     flight.run(0.1, flight.hover())
-    assert flight.link.report()[0] is FlightPhase.EMERGENCY
+    assert flight.link.phase is FlightPhase.EMERGENCY
 
 
 def test_a_take_off_arms_in_stabilize_and_the_throttle_does_the_rest():
@@ -98,10 +100,10 @@ def test_a_take_off_arms_in_stabilize_and_the_throttle_does_the_rest():
     flight.run(0.5, flight.hover())
     flight.link.order(FlightAction.LAND, flight.world.time_s)
     flight.run(8.0, flight.hover(up=-1.0))
-    assert not flight.autopilot.armed and flight.link.report()[0] is FlightPhase.LANDED
+    assert not flight.autopilot.armed and flight.link.phase is FlightPhase.LANDED
     flight.link.order(FlightAction.TAKE_OFF, flight.world.time_s)
     flight.run(0.2, flight.hover(up=-1.0))
-    assert flight.autopilot.armed and flight.link.report()[0] is FlightPhase.FLYING, "armed is all that it tells"
+    assert flight.autopilot.armed and flight.link.phase is FlightPhase.FLYING, "armed is all that it tells"
     assert flight.vehicle.height_m == 0.08
     flight.run(1.0, flight.hover(up=0.1))
     assert flight.vehicle.height_m > 0.3
@@ -110,4 +112,24 @@ def test_a_take_off_arms_in_stabilize_and_the_throttle_does_the_rest():
 def test_the_charge_that_it_tells_is_whole_percents_of_the_true_one():
     flight = Flight()
     flight.vehicle.set_battery_pct(61.6)
-    assert flight.link.report()[1] == 62
+    assert flight.link.report(flight.world.time_s)[1] == 62
+
+
+def test_what_it_reports_of_itself():
+    """It flies with the error of the level that it believes; its height drifts; a seed repeats all that."""
+    flights = [Flight(perturbed=True, seed=3) for _ in range(2)]
+    flight, reports = flights[0], []
+    for _ in range(100):
+        flight.run(0.1, flight.hover())
+        reports.append(flight.link.report(flight.world.time_s)[2])
+    tilt_rad = np.mean([report["tilt_rad"] for report in reports[20:]], axis=0)
+    error_rad = flight.autopilot.level_error_rad
+    assert 0.001 < max(map(abs, error_rad)) <= 2.0 * sensor_errors().level_error_rad
+    assert tilt_rad == pytest.approx((0.0, 0.0), abs=3e-4), "it is level, as it believes"
+    assert (flight.vehicle.state.phi, flight.vehicle.state.theta) == pytest.approx([-e for e in error_rad], abs=3e-4)
+    ways_m = [report["height_m"] for report in reports]
+    errors_m = np.array(ways_m) - flight.vehicle.state.position_m[2]
+    assert 0.02 < np.std(np.diff(errors_m)) < 0.1 and len(set(ways_m)) == len(ways_m)
+    assert 0.03 < flight.link.report_delay_s < 0.15
+    flights[1].run(0.1, flights[1].hover())
+    assert flights[1].link.report(flights[1].world.time_s)[2] == reports[0]

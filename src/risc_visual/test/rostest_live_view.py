@@ -238,7 +238,7 @@ class LiveViewTest(unittest.TestCase):
     def test_5_faults_are_offered_where_there_is_a_virtual_lab(self):
         page = self.open_page()
         wait_for(lambda: "LAND ALL" in page.labels(), "buttons")
-        self.assertNotIn("let it happen", page.labels(), "nobody offers faults")
+        self.assertNotIn("inject", page.labels(), "nobody offers faults")
         asked = []
 
         def on_inject(request):
@@ -254,19 +254,19 @@ class LiveViewTest(unittest.TestCase):
         offer = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
         self.addCleanup(offer.unregister)
         offer.publish(FaultKinds(kinds=kinds))
-        wait_for(lambda: {"let it happen", "end all faults"} <= page.labels(), page.labels)
+        wait_for(lambda: {"inject", "end all faults"} <= page.labels(), page.labels)
         wait_for(lambda: "it is &lt;seen&gt; elsewhere" in page.text() and "mild 0.1" in page.text(), page.text)
-        page.press("let it happen")
+        page.press("inject")
         wait_for(lambda: asked == [("jump", 0.0)], lambda: str(asked))
         wait_for(lambda: 'class="good">&lt;answer&gt; to jump' in page.text(), page.text)
         page.enter("fault", "wind")
         wait_for(lambda: "it blows" in page.text(), page.text)
         page.enter("argument", "9")
-        page.press("let it happen")
+        page.press("inject")
         wait_for(lambda: 'class="bad">&lt;answer&gt; to wind:9' in page.text(), page.text)
         page.enter("argument", " 2 ")
         page.enter("vehicle", "risc2")
-        page.press("let it happen")
+        page.press("inject")
         wait_for(lambda: asked[-1] == ("wind:2,risc2", 0.0), lambda: str(asked))
         page.press("end all faults")
         wait_for(lambda: asked[-1] == ("", 0.0), lambda: str(asked))
@@ -278,8 +278,8 @@ class LiveViewTest(unittest.TestCase):
         page.close()
         lab.shutdown()
         again = self.open_page()
-        wait_for(lambda: "let it happen" in again.labels(), again.labels)
-        again.press("let it happen")
+        wait_for(lambda: "inject" in again.labels(), again.labels)
+        again.press("inject")
         wait_for(lambda: "the virtual lab does not answer" in again.text(), again.text)
 
     def test_6_when_the_last_page_is_closed_it_listens_no_more(self):

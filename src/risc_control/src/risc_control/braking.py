@@ -1,9 +1,17 @@
 """To a stop without being seen: the velocity of a vehicle by its model, and the tilt that takes it away. No ROS.
 
 Motion capture says how a vehicle moved when it was seen last. From then on it follows the commands that it was sent
-(`delay_prediction`), which brings a good velocity over the second or two that a stop takes. Where a vehicle measures
-its own velocity, as an AR.Drone by its bottom camera, that corrects the model, slowly: it makes up for wind, and for a
-velocity that was wrong when it was seen last. One that is far from the model's is not believed.
+(`delay_prediction`), which brings a good velocity over the second or two that a stop takes. What corrects this model:
+
+- While a vehicle that does nothing by itself is seen, its velocity changes otherwise than the commands explain: its
+  level is not exact, the air moves. That acceleration is learnt, along its axes, and goes on (`see`).
+- Its own velocity, where it measures one, as an AR.Drone by its bottom camera: slowly, for wind and for a velocity that
+  was wrong when it was seen last (`feel`).
+- The tilt that it reports, as an IRIS+, where that comes to differ from the commanded one otherwise than it did while
+  the vehicle was seen (`feel_tilt`). Reports are too few, and too late by a time that is not known exactly, to be
+  compared while it tilts over; they count while model and reports both keep still.
+
+What is far from the model, or repeats itself, is not believed.
 
 The tilt is that of a state feedback on what the vehicle will do when the command takes effect: velocity v, tilt a and
 its rate along each axis of its heading, v' = g a and a'' = wn^2 (command - a) - 2 zeta wn a'. Its three poles are those
@@ -28,6 +36,11 @@ _BANDWIDTH = 1.5  # of the feedback, over that of the attitude loop
 _CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of an error of the velocity that one report takes away; a larger error
 _LOOPS_S = 0.6  # what was commanded earlier the attitude loops have forgotten
 _WINDOW_S = 0.5  # commands of a longer time than this are gone through for good
+_LEARN_S, _LEARNS_S, _PUSH_M_S2 = 0.2, 1.5, 0.8  # what it is pushed by: interval, time constant, the most
+_TILT_S, _OFFSET_S = 0.25, 2.0  # between reports of tilt at most; time constant of what they differ by while it is seen
+_STILL_RAD, _STILL_RAD_S = math.radians(1.0), 0.1  # it keeps still: change between reports, rate of the model;
+_STILL_S = 0.4  # that counts after so long, as reports may be late by so much more than they are as a rule
+_SHIFTS, _BELIEVED_RAD = 0.3, math.radians(3.0)  # share of a difference that stays; a larger one
 
 # Of the feedback on one axis; speed that a tilt and its rate bring until it is level.
 _GAIN = record("velocity tilt rate most_rad levels_m_s_rad levels_m_rad")
@@ -50,7 +63,14 @@ class Braking:
         self._sent = sent
         self._seen = self._own = None  # newest that was seen, until it counts; the same for good
         self._felt_m_s, self._felt_s = (0.0, 0.0), -math.inf
-        self._motion, self._at_s = Motion(*[0.0] * len(Motion._fields)), -math.inf
+        self._mark, self._push_m_s2 = None, (0.0, 0.0)  # (own, when) that learning began at; forward, right
+        self._tilt_rad, self._tilt_s = (math.nan, math.nan), -math.inf  # newest that it reported, and had then
+        self._model_rad = (math.nan, math.nan)  # the model's of then
+        self._still_s = self._counted_s = -math.inf  # since when both keep still; until when that has been counted
+        self._waits = False  # the newest report has not been compared, while it is not seen
+        self._offset_rad, self._offset_s = (0.0, 0.0), 0.0  # reported tilt - model's, while it is seen; of how long
+        self._shift_rad = (0.0, 0.0)  # that the tilt differs from the model's since then
+        self._motion, self._at_s = _STANDING, -math.inf
         self._plant = None  # it is not braked
         if not brakes:
             return
@@ -71,18 +91,44 @@ class Braking:
             gain.levels_m_s_rad = GRAVITY_M_S2 * damping_1_s / wn**2
             gain.levels_m_rad = GRAVITY_M_S2 / wn**2
         self._commands = np.zeros((2 + round(MAX_HORIZON_S / STEP_S), 4))
-        self._ahead(0.0, 0.1)  # loads what is compiled
+        self._ahead(self._motion, 0.0, 0.1)  # loads what is compiled
         _feedback(self._motion, self._gains, sent, 0.0)
         _corrected(self._motion, 0.0, 0.0)
+        _pushed(self._motion, 0.0, 0.0, 0.0)
 
-    def see(self, own, measured_s):
-        """It was seen (`vehicle_pilot.OwnState`)."""
+    def see(self, own, measured_s, learns=False):
+        """It was seen (`vehicle_pilot.OwnState`). learns: nothing but what it was sent moves it."""
         self._seen = self._own = own
         self._own_s = measured_s
+        if self._plant is None:
+            return
+        if not learns:
+            self._mark, self._push_m_s2, self._offset_s = None, (0.0, 0.0), 0.0
+        elif self._mark is None or not 0.0 <= measured_s - self._mark[1] < 2.0 * _LEARN_S:
+            self._mark = own, measured_s
+        elif measured_s - self._mark[1] >= _LEARN_S:
+            self._learn(own, measured_s)
+            self._mark = own, measured_s
 
     def feel(self, velocity_m_s, now_s):
         """It reports its own velocity, level: forward, right [m/s]."""
         self._felt_m_s, self._felt_s = velocity_m_s, now_s
+
+    def feel_tilt(self, tilt_rad, measured_s):
+        """It reports its roll and pitch [rad], which it had then."""
+        if self._plant is None or tilt_rad == self._tilt_rad or not math.isfinite(sum(tilt_rad)):
+            return
+        if not 0.0 < measured_s - self._tilt_s < _TILT_S or _differ(tilt_rad, self._tilt_rad):
+            self._still_s = measured_s
+        self._tilt_rad, self._tilt_s = tilt_rad, measured_s
+        if self._seen is None:
+            self._waits = True
+        elif self._mark is not None and self._keeps_still(self._made(measured_s)):
+            lasts_s = measured_s - self._counted_s
+            self._offset_s = min(_OFFSET_S, self._offset_s + lasts_s)
+            differs_rad = tuple(tilt - model for tilt, model in zip(tilt_rad, self._model_rad))
+            self._offset_rad = _nearer(self._offset_rad, differs_rad, lasts_s / self._offset_s)
+            self._counted_s = measured_s
 
     def command(self, now_s):
         """`Brake` of now; None of a vehicle that was not seen yet or too long ago, or is not braked."""
@@ -97,9 +143,12 @@ class Braking:
         if self._felt_s > self._at_s:
             self._go_on(self._felt_s)
             self._motion = _corrected(self._motion, *self._felt_m_s)
+        if self._waits:
+            self._waits = False
+            self._compare()
         if until_s - self._at_s > _WINDOW_S:
             self._go_on(until_s - 0.5 * _WINDOW_S)
-        then = self._ahead(self._at_s, until_s - self._at_s)
+        then = self._later(until_s)
         roll_rad, pitch_rad, speed_m_s = _feedback(then, self._gains, self._sent, now_s)
         own = self._own._replace(
             position_m=(then.north_m, -then.east_m, then.up_m),
@@ -115,22 +164,80 @@ class Braking:
         own, self._at_s, self._seen = self._seen, self._own_s, None
         (x, y, z), (u, v, w) = own.position_m, own.velocity_m_s  # cortex frame: north, west, up
         seen = Motion(x, -y, z, u, -v, w, own.phi_rad, own.theta_rad, own.psi_rad, 0.0, 0.0, 0.0, 0.0)
-        self._motion = seen
-        made = self._ahead(self._at_s - _LOOPS_S, _LOOPS_S)
+        made = self._ahead(seen, self._at_s - _LOOPS_S, _LOOPS_S)
         self._motion = seen._replace(
             phi_rate_rad_s=made.phi_rate_rad_s,
             theta_rate_rad_s=made.theta_rate_rad_s,
             psi_rate_rad_s=made.psi_rate_rad_s,
         )
+        self._shift_rad, self._waits = (0.0, 0.0), False
+
+    def _learn(self, own, measured_s):
+        """By what the velocity has changed since the mark, otherwise than by the commands."""
+        (was, was_s), (u, v, _) = self._mark, own.velocity_m_s
+        (was_u, was_v, was_w), made, lasts_s = was.velocity_m_s, self._made(was_s), measured_s - was_s
+        then = made._replace(north_m_s=was_u, east_m_s=-was_v, up_m_s=was_w, psi_rad=was.psi_rad)
+        then = self._ahead(then, was_s, lasts_s)
+        north_m_s2, east_m_s2 = (u - then.north_m_s) / lasts_s, (-v - then.east_m_s) / lasts_s
+        cosine, sine = math.cos(own.psi_rad), math.sin(own.psi_rad)
+        wrong_m_s2 = cosine * north_m_s2 + sine * east_m_s2, cosine * east_m_s2 - sine * north_m_s2
+        believed_m_s2 = (clipped(wrong, _PUSH_M_S2) for wrong in wrong_m_s2)  # a false place is worth no more
+        self._push_m_s2 = _nearer(self._push_m_s2, believed_m_s2, -math.expm1(-lasts_s / _LEARNS_S))
+
+    def _compare(self):
+        """What it reports of its tilt with the model's: that has gone on so since both keep still."""
+        if self._tilt_s <= self._at_s or self._offset_s < _OFFSET_S:
+            return
+        self._go_on(self._tilt_s)
+        if not self._keeps_still(self._motion):
+            return
+        lasts_s, self._counted_s = self._tilt_s - max(self._counted_s, self._own_s), self._tilt_s
+        parts = zip(self._tilt_rad, self._offset_rad, self._model_rad, self._shift_rad)
+        roll_rad, pitch_rad = (tilt - offset - model - shift for tilt, offset, model, shift in parts)
+        if max(abs(roll_rad), abs(pitch_rad)) < _BELIEVED_RAD:
+            self._motion = _pushed(self._motion, -GRAVITY_M_S2 * pitch_rad, GRAVITY_M_S2 * roll_rad, lasts_s)
+            roll_was, pitch_was = self._shift_rad
+            self._shift_rad = roll_was + _SHIFTS * roll_rad, pitch_was + _SHIFTS * pitch_rad
+
+    def _keeps_still(self, model):
+        """Whether reports and model, a Motion of the newest report's time, have not changed for long."""
+        turns_rad_s = max(abs(model.phi_rate_rad_s), abs(model.theta_rate_rad_s))
+        model_rad = model.phi_rad, model.theta_rad
+        if turns_rad_s > _STILL_RAD_S or _differ(model_rad, self._model_rad):
+            self._still_s = self._tilt_s
+        self._model_rad, self._counted_s = model_rad, max(self._counted_s, self._still_s)
+        return self._tilt_s - self._still_s >= _STILL_S
 
     def _go_on(self, to_s):
-        self._motion, self._at_s = self._ahead(self._at_s, to_s - self._at_s), to_s
+        self._motion, self._at_s = self._later(to_s), to_s
 
-    def _ahead(self, from_s, horizon_s):
-        """Motion that much later."""
+    def _later(self, to_s):
+        """Motion of then."""
+        lasts_s, (forward_m_s2, right_m_s2), (roll_rad, pitch_rad) = to_s - self._at_s, self._push_m_s2, self._shift_rad
+        forward_m_s2, right_m_s2 = forward_m_s2 - GRAVITY_M_S2 * pitch_rad, right_m_s2 + GRAVITY_M_S2 * roll_rad
+        return _pushed(self._ahead(self._motion, self._at_s, lasts_s), forward_m_s2, right_m_s2, lasts_s)
+
+    def _made(self, now_s):
+        """Motion whose tilt and rates are those that the commands until then have made."""
+        return self._ahead(_STANDING, now_s - _LOOPS_S, _LOOPS_S)
+
+    def _ahead(self, motion, from_s, horizon_s):
+        """Motion that much later by the commands."""
         commands = self._commands[: 1 + steps_of(horizon_s)]
         fill_in_force(self._sent, self._sent, self._plant, from_s, commands)
-        return predicted(self._motion, self._plant, horizon_s, commands)
+        return predicted(motion, self._plant, horizon_s, commands)
+
+
+_STANDING = Motion(*[0.0] * len(Motion._fields))
+
+
+def _differ(tilt_rad, other_rad):
+    return not all(abs(tilt - other) < _STILL_RAD for tilt, other in zip(tilt_rad, other_rad))
+
+
+def _nearer(values, to, share):
+    """Values, by this share nearer to others."""
+    return tuple(value + share * (other - value) for value, other in zip(values, to))
 
 
 @compiled
@@ -147,6 +254,29 @@ def _corrected(motion, forward_m_s, right_m_s):
         motion.up_m,
         motion.north_m_s + _CORRECTS * north_m_s,
         motion.east_m_s + _CORRECTS * east_m_s,
+        motion.up_m_s,
+        motion.phi_rad,
+        motion.theta_rad,
+        motion.psi_rad,
+        motion.phi_rate_rad_s,
+        motion.theta_rate_rad_s,
+        motion.psi_rate_rad_s,
+        motion.up_m_s2,
+    )
+
+
+@compiled
+def _pushed(motion, forward_m_s2, right_m_s2, lasts_s):
+    """Motion of one that was accelerated for so long, level, beside what the commands did."""
+    cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
+    north_m_s = lasts_s * (cosine * forward_m_s2 - sine * right_m_s2)
+    east_m_s = lasts_s * (sine * forward_m_s2 + cosine * right_m_s2)
+    return Motion(
+        motion.north_m + 0.5 * lasts_s * north_m_s,
+        motion.east_m + 0.5 * lasts_s * east_m_s,
+        motion.up_m,
+        motion.north_m_s + north_m_s,
+        motion.east_m_s + east_m_s,
         motion.up_m_s,
         motion.phi_rad,
         motion.theta_rad,

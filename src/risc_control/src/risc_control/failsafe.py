@@ -53,6 +53,7 @@ class Rule(enum.IntEnum):
 
 
 WITHOUT_EFFECT = "; it does not land: the emergency stop is the operator's"  # behind the reason of such a verdict
+LOSSES = frozenset((Rule.STATE, Rule.SUSPECT, Rule.CONTROLS))  # of what it flies on
 _OK, _HOLD, _LAND = FailsafeLevel  # the members of an enumeration are slow to look up, and this is asked in every frame
 _FENCE_CLEAR_S = 0.3  # the fence lets go of a vehicle that could stop in time for so long;
 _FENCE_FORGETS_S = 3.0  # one that it must hold again within so long it holds until it lands
@@ -76,14 +77,14 @@ class SafetyLimits(Settings):
 
     ladder: bool = True  # False: no level is ever entered by itself, which is for showing what the ladder is good for
     state_hold_s: Positive = 0.1  # [s] own state older than this: HOLD; one that is suspect is none, see `plausibility`
-    state_land_s: Positive = 0.5  # [s] ... LAND
+    state_land_s: Positive = 0.5  # [s] ... LAND, and when it has held for so long, less state_hold_s, without a break
     # What the noise of motion capture adds to what a vehicle can do from one state to the next
     suspect_position_m: Positive = 0.03
     suspect_velocity_m_s: Positive = 0.3
     suspect_angle_deg: Positive = 5.0  # roll, pitch and yaw
     state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
-    controls_land_s: Positive = 0.5  # [s] ... LAND
+    controls_land_s: Positive = 0.5  # [s] ... LAND, likewise
     saturated_land_s: NotNegative = 1.5  # [s] tilted to full scale for half of it: HOLD, for so long: LAND; 0 = off
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
     # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
@@ -262,6 +263,7 @@ class SafetyLadder:
         self._look = ALONE
         self._near = Lasting()
         self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
+        self._lost_since_s = math.inf  # since when it holds without a break for what it flies on
         self._position_m = None
         self._land_since_s = None
 
@@ -386,6 +388,10 @@ class SafetyLadder:
         return self.verdict
 
     def _set(self, level, rule, reason, age, now_s):
+        if level == _OK or rule not in LOSSES:
+            self._lost_since_s = math.inf
+        elif self._lost_since_s == math.inf:
+            self._lost_since_s = now_s
         if level == _OK:
             self._apart_since_s = None
         elif rule == Rule.SEPARATION and self._apart_since_s is None:
@@ -424,8 +430,9 @@ class SafetyLadder:
                 rule, reason = Rule.SUSPECT, "%s: %s" % (reason, self.suspect)
             elif rule == Rule.CONTROLS and now_s - self._not_finite_s <= hold_s:
                 reason += ": the controller sends commands that are not finite"
-            if age_s > land_s:
-                return _LAND, rule, reason, (age_s, land_s)
+            # one that is always a little too late is as good as none: its reference goes on, through the others
+            if age_s > land_s or now_s - self._lost_since_s >= land_s - hold_s > 0.0:
+                return _LAND, rule, reason, (age_s, min(age_s, land_s))
             hold = _HOLD, rule, reason, (age_s, hold_s)
         age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:

@@ -16,6 +16,10 @@ to a stop. It stays the pilot's until an operator takes it back (`take_back`).
 The throttle that hovers is known badly (battery, load, propellers). `ClimbObserver` learns the error in the air,
 whoever flies, and the adapter adds it to every command: it is the integral of this hold, and no change of hands
 changes it.
+
+Without states it goes on by the model of its climb (`_blind`): HOLDING at the height at which it was seen last, LANDING
+down to the floor. The height and climb rate that it says to have correct that (`feel_height`): its barometer drifts, so
+what counts is how they differ from what they were while it was seen.
 """
 
 import math
@@ -56,7 +60,14 @@ PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held, which the fen
 _STOP_M_S2 = 2.0  # when it slows down, level: others may be in its way
 _FAR_M = 0.5  # larger errors count as this one
 _LEASH_M = 0.3  # the place is no farther above or below the vehicle on the way up or down
-_BLIND_1_S, _BLIND_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned, without states
+_BLIND_1_S, _BLIND_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned, without states;
+_BLIND_HEIGHT_1_S, _BLIND_M_S = 1.0, 0.3  # and of the height
+_FEELS_S, _FELT_S = 0.5, 3.0  # of reports while it is seen: from so many on they count; time constant of their zeros
+_FELT_GAP_S = 0.25  # between reports at most
+_LATE_S = 0.3  # they may be late by so much more than they are as a rule:
+_NOISE_M, _NOISE_M_S = 0.15, 0.1  # they count beyond all that was reckoned for then, and beyond their noise,
+_FELT_M, _FELT_M_S = 0.8, 1.0  # and are not believed where they are so far from it
+_FELT_1_S = 1.0  # of the height that is reckoned, by its error
 
 _NEW_S = 0.2  # without a command of the hold: it begins anew
 _MAX_GAP_S = 0.2  # between states: the observer begins anew
@@ -97,10 +108,12 @@ class ClimbObserver:
             self.climb_m_s, self._time_s = climb_m_s, time_s
             return
         self.advance(time_s)
-        error_m_s = climb_m_s - self.climb_m_s
+        self.correct(climb_m_s - self.climb_m_s, step_s)
+
+    def correct(self, error_m_s, step_s):
+        """It climbs by so much faster than by the commands. step_s: since the last time."""
         self.climb_m_s += min(1.0, 2.0 * _OBSERVER_RAD_S * step_s) * error_m_s
-        trim_m_s2 = self.trim_m_s2 - _OBSERVER_RAD_S**2 * step_s * error_m_s
-        self.trim_m_s2 = _within(trim_m_s2, _TRIM_M_S2)
+        self.trim_m_s2 = _within(self.trim_m_s2 - _OBSERVER_RAD_S**2 * step_s * error_m_s, _TRIM_M_S2)
 
     def advance(self, until_s):
         """Go on to a time by the commands alone."""
@@ -134,7 +147,10 @@ class Hover:
         self._still_s = None  # since when it does not sink although it should
         self._sinks_s = -math.inf  # when it sank last
         self._stands = False  # it has landed, as far as can be seen
-        self._reckoned_m = 0.0  # height above the floor, without states
+        self._reckoned_m = self._blind_m = 0.0  # height above the floor, without states; that is held
+        self._reckoned = deque(maxlen=32)  # of late: (time, height, climb rate)
+        self._felt, self._felt_s = None, -math.inf  # newest (height, climb rate) that it said to have, when it had them
+        self._felt_zero, self._zeros_s = (0.0, 0.0), 0.0  # by which these were too large while it was seen; of how long
         self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
         self._integral_m_s2 = [0.0, 0.0]
         self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
@@ -188,12 +204,39 @@ class Hover:
     def on_state(self, own, measured_s):
         """The vehicle was seen (`vehicle_pilot.OwnState`)."""
         self._own, self._own_s = own, measured_s
+        self._reckoned_m = self._blind_m = self._height_m()
+        self._reckoned.clear()
         climb_m_s = own.velocity_m_s[2]
         free = self.phase in _IN_AIR and self.reported == FlightState.FLYING and self._height_m() > _LIFTED_M
         self.observer.measure(climb_m_s, measured_s, free and not self._stands)
         if climb_m_s < -_SINKS_M_S:
             self._sinks_s = measured_s
         self._meet(measured_s)
+
+    def feel_height(self, height_m, climb_m_s, measured_s, now_s):
+        """It says that it had this height, by a zero of its own, and climb rate."""
+        if (height_m, climb_m_s) == self._felt or not math.isfinite(height_m + climb_m_s):
+            return
+        step_s = measured_s - self._felt_s
+        self._felt, self._felt_s = (height_m, climb_m_s), measured_s
+        if not 0.0 < step_s < _FELT_GAP_S or self._own is None:
+            return
+        if self._is_seen(now_s):
+            height_m -= self._height_m() + self._own.velocity_m_s[2] * (measured_s - self._own_s)
+            self._zeros_s = min(_FELT_S, self._zeros_s + step_s)
+            zeros, share = (height_m, climb_m_s - self._own.velocity_m_s[2]), step_s / self._zeros_s
+            self._felt_zero = tuple(old + share * (new - old) for old, new in zip(self._felt_zero, zeros))
+            return
+        begins_s = measured_s - _LATE_S
+        lately = [then for then in self._reckoned if then[0] >= begins_s]
+        if self._zeros_s >= _FEELS_S and lately and self._reckoned[0][0] <= begins_s:
+            _, heights_m, climbs_m_s = zip(*lately)
+            error_m = _beyond(height_m - self._felt_zero[0], heights_m, _NOISE_M)
+            if abs(error_m) < _FELT_M:
+                self._reckoned_m += _FELT_1_S * step_s * error_m
+            error_m_s = _beyond(climb_m_s - self._felt_zero[1], climbs_m_s, _NOISE_M_S)
+            if abs(error_m_s) < _FELT_M_S and self.reported == FlightState.FLYING:
+                self.observer.correct(error_m_s, step_s)
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -342,7 +385,6 @@ class Hover:
         climb_m_s = self._climb_m_s(velocity_m_s[2])
         if not self._is_seen(now_s):
             return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0)
-        self._reckoned_m = self._height_m()
         if now_s - self._held_s > _NEW_S or self.has_pilot:
             self._begin()
         self._held_s = now_s
@@ -366,6 +408,9 @@ class Hover:
         self.observer.advance(now_s)
         has_m_s = self.observer.climb_m_s
         self._reckoned_m += min(step_s, _NEW_S) * has_m_s
+        self._reckoned.append((now_s, self._reckoned_m, has_m_s))
+        if self.phase is Phase.HOLDING:
+            climb_m_s += _within(_BLIND_HEIGHT_1_S * (self._blind_m - self._reckoned_m), _BLIND_M_S)
         up_m_s2 = _within(_BLIND_1_S * (climb_m_s - has_m_s), _BLIND_M_S2)
         brake = self._braking.command(now_s)
         if brake is None:
@@ -439,7 +484,7 @@ class Hover:
             self._stands = True
 
     def _enter(self, phase, now_s):
-        self.phase, self._since_s = phase, now_s
+        self.phase, self._since_s, self._blind_m = phase, now_s, self._reckoned_m
         self._still_s, self._stands = None, False
 
 
@@ -454,6 +499,11 @@ _STATES = {  # FlightState of each Phase but those that depend on more
 def _stops_m_s(way_m):
     """Speed at which the place that is held comes to a stop within this way, up or down."""
     return math.sqrt(PLACE_UP_M_S2 * max(0.0, way_m))  # at half of its acceleration
+
+
+def _beyond(value, known, noise):
+    """By how much it is above or below all that is known, and the noise."""
+    return value - min(max(value, min(known) - noise), max(known) + noise)
 
 
 def _within(value, most):

@@ -13,7 +13,7 @@ import numpy as np
 
 from risc_control import preflight
 from risc_control.braking import Braking
-from risc_control.failsafe import FailsafeLevel, Rule, SafetyLadder, SafetyLimits
+from risc_control.failsafe import LOSSES, FailsafeLevel, Rule, SafetyLadder, SafetyLimits
 from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, HAS_PILOT, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
@@ -37,6 +37,8 @@ _ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
+_HELD_BEFORE = LOSSES | {Rule.SEPARATION}
+_STOPS_S = 1.0  # in which it stops, at the most, before it lands
 _WAITS_S = 0.05  # a state that is only late comes within so long: until then it is level, and not braked
 _TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
 _NEARLY_FULL = 0.999
@@ -65,6 +67,9 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     preflight: bool = True  # no take-off before motion capture and what stands around are as a flight needs them
     preflight_markers: Count = 0  # so many of its markers must be seen before a take-off; 0: all of its template
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
+    # HOLD: the model is corrected by what it was wrong by before, and by the tilt and the height that the vehicle says
+    # to have; False: the model alone
+    hold_corrects: bool = True
 
     def rate_hz(self, vehicle_type):
         """At which a vehicle of a type is sent commands."""
@@ -234,15 +239,23 @@ class VehiclePilot:
     def on_status(self, status, now_s):
         """The vehicle reported its `vehicles.Status`."""
         orders = Orders()
+        if self.ladder.verdict.level == _LAND and not self.ladder.navdata_is_fresh(now_s):
+            self._risen_s = now_s  # it hears us again
         self.ladder.note_navdata(status.battery_pct, now_s)
         if status.velocity_m_s is not None and self._params.hold_auto_hover:
             self._braking.feel(status.velocity_m_s, now_s)
+        corrects, measured_s = self._params.hold_corrects, now_s - self._adapter.type.report_delay_s
+        if corrects and status.tilt_rad is not None:
+            self._braking.feel_tilt(status.tilt_rad, measured_s)
         if self._hover is None:
             self._note_state(status.state, orders, now_s)
             return orders
         if status.battery_pct is not None:
             self._adapter.tell_battery(status.battery_pct, now_s)
         self._hover.on_status(status, now_s)
+        if corrects and status.height_m is not None:
+            self._hover.feel_height(status.height_m, status.climb_m_s, measured_s, now_s)
+            self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
         self._note_hover(orders)
         return orders
 
@@ -301,7 +314,7 @@ class VehiclePilot:
         self._looks_s.append(now_s)
         self._state, self._unseen = own, False
         self._state_s = now_s - max(age_s, 0.0)
-        self._braking.see(own, self._state_s)
+        self._braking.see(own, self._state_s, self._params.hold_corrects and self._obeys)
         if self._hover is not None:
             self._hover.on_state(own, self._state_s)
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
@@ -439,6 +452,11 @@ class VehiclePilot:
         return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------
+
+    @property
+    def _obeys(self):
+        """It is in the air, and does nothing but what it is sent. An AR.Drone brakes by itself now and then."""
+        return self._hover is not None and self.flight_state in (FlightState.FLYING, FlightState.HOVERING)
 
     @property
     def _has_pilot(self):
@@ -620,15 +638,26 @@ class VehiclePilot:
                 orders.say("error" if verdict.operator else "warn", verdict.text)
             elif before.level > _OK:
                 orders.say("info", "safety: %s" % verdict.text)
-        if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
-            self._land_s = now_s
-            self._order_landing(orders, now_s)
         if verdict.level > before.level:
             self._risen_s = now_s
         if verdict.level > before.level and (self._hover is not None or self._takes_commands()):
             self._stopped = False
             self._slots.restart(now_s)
             self._send_safe(orders, now_s)
+        if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s and not self._brakes(now_s):
+            self._land_s = now_s
+            self._order_landing(orders, now_s)
+
+    def _brakes(self, now_s):
+        """Whether it is to stop before it lands: in its own landing an AR.Drone takes a metre for that. One that has
+        lost what it flies on, or keeps away from others, was braked before.
+        """
+        takes = self._hover is None and self._takes_commands() and self.ladder.verdict.rule not in _HELD_BEFORE
+        brake = self._braking.command(now_s) if takes and now_s - self._risen_s < _STOPS_S else None
+        if brake is None or brake.stopped:
+            return False
+        self._stopped = False
+        return True
 
     def _send_safe(self, orders, now_s):
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""

@@ -93,7 +93,7 @@ def options():
         metavar="S",
         help="time on each course (default: 30 s; df_demo, iris: 20 s)",
     )
-    add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
+    add("--seed", type=number(0), default=1, metavar="N", help="of everything random (default: 1)")
     delay_help = "command delay (default: that of the type, e.g. 0.1 s)"
     add("--delay", type=number(0.0, LONGEST_DELAY_S), metavar="S", help=delay_help)
     rate_help = "of motion capture (default: 200, less if it must be)"

@@ -31,6 +31,7 @@ class Drift(NamedTuple):
     speed_m_s: float  # when HOLD began
     farthest_m: float  # within WITHIN_S
     level_m: float  # the same without what is up or down
+    height_m: float  # the same of what is up or down alone
     end_m: float  # after WITHIN_S
 
 
@@ -53,7 +54,7 @@ def drift(result):
     before = after[0] - 1
     speed_m_s = math.dist(place_m[after[0]], place_m[before]) / (times_s[after[0]] - times_s[before])
     far_m, level_m = np.linalg.norm(went_m[after], axis=1), np.linalg.norm(went_m[after, :2], axis=1)
-    return Drift(speed_m_s, far_m.max(), level_m.max(), far_m[-1])
+    return Drift(speed_m_s, far_m.max(), level_m.max(), np.abs(went_m[after, 2]).max(), far_m[-1])
 
 
 def main(argv=None):
@@ -69,10 +70,15 @@ def main(argv=None):
     add("--gusts", action="store_true", help="moving air")
     add("--delay", type=float, metavar="S", dest="delay_s", help="link delay (default: that of the type)")
     add("--coast", action="store_true", help="only level it, without braking")
+    add("--alone", action="store_true", help="by its model alone, without what it learnt and its own tilt and height")
     add("--no-auto-hover", action="store_true", help="nor let it hold by itself (hold_auto_hover: false)")
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     args = parser.parse_args(argv)
-    node = {"hold_brakes": not args.coast, "hold_auto_hover": not args.no_auto_hover}
+    node = {
+        "hold_brakes": not args.coast,
+        "hold_corrects": not args.alone,
+        "hold_auto_hover": not args.no_auto_hover,
+    }
     groups = [(kind, course) for kind in args.types for course in args.trajectory]
     flights = [
         flight(*group, seed, gusts=args.gusts, delay_s=args.delay_s, node=node)
@@ -80,8 +86,9 @@ def main(argv=None):
         for seed in range(1, args.seeds + 1)
     ]
     progress, drifts = Progress(), []
-    print("%-8s %-9s %10s   farthest within %g s [m]     level    at the end" % ("type", "course", "speed", WITHIN_S))
-    print("%-8s %-9s %10s   %6s %6s %6s   %6s   %6s" % ("", "", "[m/s]", "median", "90 %", "worst", "median", "median"))
+    columns = "farthest within %g s [m]" % WITHIN_S, "level", "height", "at the end"
+    print("%-8s %-9s %10s   %-22s   %-20s   %-20s   %s" % ("type", "course", "speed", *columns))
+    print("%-8s %-9s %10s%s   median" % ("", "", "[m/s]", 3 * ("   %6s %6s %6s" % ("median", "90 %", "worst"))))
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         for over, result in enumerate(outcomes, 1):
@@ -105,10 +112,11 @@ def _text(drifts):
     netted = np.isnan(values[:, 0])
     values[netted, 1:] = math.inf  # they went as far as they could
     speed_m_s = np.nanmedian(values[:, 0]) if not netted.all() else math.nan
-    far_m, level_m, end_m = values[:, 1:].T
-    most_m = np.quantile(far_m, 0.9, method="nearest")
-    row = speed_m_s, np.median(far_m), most_m, far_m.max(), np.median(level_m), np.median(end_m)
-    text = "%10.2f   %6.2f %6.2f %6.2f   %6.2f   %6.2f" % row
+    text = "%10.2f" % speed_m_s
+    for drift_m in values[:, 1:4].T:
+        row = np.median(drift_m), np.quantile(drift_m, 0.9, method="nearest"), drift_m.max()
+        text += "   %6.2f %6.2f %6.2f" % row
+    text += "   %6.2f" % np.median(values[:, 4])
     return text + (", %d in the net" % netted.sum() if netted.any() else "")
 
 

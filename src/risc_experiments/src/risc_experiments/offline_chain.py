@@ -43,7 +43,7 @@ class Chain:
         self.lost = None  # "controls" or "laptop"
         self.deliver = self._link.deliver  # takes the time: gives the vehicle what the radio brings
         self._wire = wires.wire("%s/commands" % vehicle.namespace)
-        self._reports = wires.wire("%s/navdata" % vehicle.namespace)
+        self._wires, self._reports = wires, wires.wire("%s/navdata" % vehicle.namespace)
 
     def press_autonomous(self, now_s):
         """The operator presses the button, and lets go."""
@@ -61,7 +61,7 @@ class Chain:
     @property
     def landed(self):
         """Whether the vehicle stands on the floor by its own report."""
-        return self._link.report()[0] is FlightPhase.LANDED
+        return self._link.phase is FlightPhase.LANDED
 
     def levels(self, begin_s, end_s):
         """Levels that its ladder entered in this time."""
@@ -86,7 +86,7 @@ class Chain:
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`.  suspect: what it contradicts."""
         pilot = self.pilot
         if frame % self._report_every == 0:
-            self._reports.carry(self._link.report(), None, now_s, self._hear)
+            self._report(now_s)
             self._watch(self._vehicle.phase, now_s)
             if not self._flies_itself:
                 pilot.on_wire(now_s)
@@ -95,6 +95,14 @@ class Chain:
         elif visible:
             own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
             pilot.on_state(own, now_s - stamp_s, now_s, look)
+
+    def _report(self, now_s):
+        """What the vehicle says of itself is on its way."""
+        report, late_s = self._link.report(now_s), self._link.report_delay_s
+        if late_s > 0.0:
+            self._wires.call_at(now_s + late_s, lambda at_s: self._reports.carry(report, None, at_s, self._hear))
+        else:
+            self._reports.carry(report, None, now_s, self._hear)
 
     def _watch(self, phase, now_s):
         if phase is FlightPhase.EMERGENCY and self.fell_s is None:
@@ -105,8 +113,8 @@ class Chain:
 
     def _hear(self, report, _, now_s):
         """The vehicle's report has arrived."""
-        phase, battery_pct, velocity_m_s = report
-        self.pilot.on_status(Status(_REPORTS[phase], battery_pct, velocity_m_s), now_s)
+        phase, battery_pct, said = report
+        self.pilot.on_status(Status(_REPORTS[phase], battery_pct, **said), now_s)
         self._on_battery(battery_pct, now_s)
 
     def send(self, orders, now_s):

@@ -75,7 +75,11 @@ class Status(NamedTuple):
 
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
-    velocity_m_s: tuple | None = None  # level: forward, right [m/s]; by its own sensors, None: it measures none
+    # by its own sensors, `VehicleType.report_delay_s` ago; None: this report has none
+    velocity_m_s: tuple | None = None  # level: forward, right
+    tilt_rad: tuple | None = None  # roll, pitch that it believes to have
+    height_m: float | None = None  # above anything that stays
+    climb_m_s: float | None = None
 
 
 class Told(NamedTuple):

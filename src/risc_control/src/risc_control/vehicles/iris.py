@@ -193,7 +193,7 @@ class _Reports:
 
     def __init__(self, prefix, on_status, subscribe):
         from risc_maap_msgs.msg import PpmStatus  # the rest needs no ROS, but for Link
-        from roscopter.msg import RC, State, Status
+        from roscopter.msg import RC, VFR_HUD, Attitude, State, Status
 
         self._on_status, self._switch = on_status, TrainerSwitch()
         self._state, self._state_s = FlightState.UNKNOWN, -math.inf
@@ -201,6 +201,8 @@ class _Reports:
         subscribe(prefix + "apm/state", State, self._on_state)
         subscribe(prefix + "apm/status", Status, self._on_battery)
         subscribe(prefix + "apm/rc", RC, self._on_received)
+        subscribe(prefix + "apm/attitude", Attitude, self._on_attitude)
+        subscribe(prefix + "apm/vfr_hud", VFR_HUD, self._on_height)
         subscribe(prefix + "ppm_status", PpmStatus, self._on_sent)
 
     def _on_sent(self, message):
@@ -221,6 +223,16 @@ class _Reports:
 
     def _on_battery(self, message):
         self._tell(message, float(message.battery_remaining) if message.battery_remaining >= 0 else None)
+
+    def _on_attitude(self, message):
+        self._tell_sensed(message, tilt_rad=(message.roll, message.pitch))
+
+    def _on_height(self, message):
+        self._tell_sensed(message, height_m=message.alt, climb_m_s=message.climb)
+
+    def _tell_sensed(self, message, **sensed):
+        """What its sensors say; what it does others say."""
+        self._on_status(Status(FlightState.UNKNOWN, None, **sensed), message._connection_header.get("callerid", ""))
 
     def _tell(self, message, battery_pct=None):
         state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN

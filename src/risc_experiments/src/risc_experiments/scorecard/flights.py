@@ -22,6 +22,7 @@ from risc_experiments.offline import JUDGE_EVERY, fly
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S
 from risc_experiments.workers import in_order
 from risc_lab.lab.yaml_reader import member_folders, package_file
+from risc_simulator.faults import fault_settings
 from risc_simulator.models.integrator import REST_HEIGHT_M
 
 _SOURCES = (cortex_ros, risc_control, risc_estimation, risc_experiments, risc_lab, risc_simulator)
@@ -55,7 +56,7 @@ def score(item):
         "vehicle_minutes": round(_vehicle_minutes(result), 5),
         **_errors(result),
         "events": _events(flight, result, alarms, settle_s),
-        "false_alarms": _false_alarms(result, alarms, settle_s),
+        "false_alarms": _false_alarms(flight, result, alarms, settle_s),
         "breach": ["%s %s %s" % (breach.name, breach.reason, _when(result, breach)) for breach in result.breaches],
         "contact": ["%s and %s %s" % (touch.name, touch.other, _when(result, touch)) for touch in result.contacts],
         "took_s": round(time.process_time() - began_s, 3),
@@ -129,15 +130,20 @@ def _is_ready(result, alarms, vehicle, time_s):
     return result.left_s[vehicle] > time_s and not any(alarm.time_s < time_s < alarm.until_s for alarm in mine)
 
 
-def _false_alarms(result, alarms, settle_s):
+def _false_alarms(flight, result, alarms, settle_s):
     """How many levels above OK nothing explains: no fault, and no level that a fault explains."""
-    explained = []
-    for outcome in result.faults:
+    explained, lasting, vehicles = [], [], {name: i for i, name in enumerate(result.namespaces)}
+    for event, outcome in zip(flight.faults, result.faults):
         end_s = math.inf if outcome.end_s is None else outcome.end_s
         explained.append((outcome.start_s, end_s + settle_s))
+        if fault_settings(event.fault).lasts:
+            lasting.append((outcome.start_s, vehicles.get(event.vehicle)))  # None: all
     count = 0
     for alarm in alarms:
-        if any(begin_s <= alarm.time_s <= end_s for begin_s, end_s in explained):
+        is_explained = any(begin_s <= alarm.time_s <= end_s for begin_s, end_s in explained)
+        if is_explained or any(
+            begin_s <= alarm.time_s and vehicle in (None, alarm.vehicle) for begin_s, vehicle in lasting
+        ):
             explained.append((alarm.time_s, alarm.until_s + settle_s))
         elif alarm.how != UNSEEN:
             count += 1

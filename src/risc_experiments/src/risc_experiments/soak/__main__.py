@@ -28,7 +28,7 @@ def arguments(argv):
     )
     add = parser.add_argument
     add("hours", nargs="?", type=fly.number(1e-3, LONGEST_H), metavar="HOURS", help="how long, e.g. 0.1")
-    add("--seed", type=int, default=1, metavar="N", help="of the vehicles and of all faults (default: 1)")
+    add("--seed", type=fly.number(0), default=1, metavar="N", help="of the vehicles and of all faults (default: 1)")
     add("--faults", type=_names, default=(), metavar="A,B", help="only these of ./maap faults (default: all that a "
         "flight can end safely with)")  # fmt: skip
     add("--vehicles", type=fly.number(1), metavar="N", help="how many (default: 3)")

@@ -62,6 +62,7 @@ class VehicleType(Settings):
     command_rate_hz: between(1.0, 1000.0)  # how often the vehicle takes a command
     drag_n_s_m: NotNegative  # linear drag: force = -drag * airspeed
     battery_life_s: Positive  # full to empty in flight
+    report_delay_s: between(0.0, 2.0) = 0.0  # from what it measures to who hears it of its driver
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
     devices: dict[str, Name] = field(default_factory=dict, hash=False)

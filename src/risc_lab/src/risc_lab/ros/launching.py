@@ -72,7 +72,7 @@ class Launch:
     """One roslaunch, and a roscore unless one runs at its port, in sessions of their own, their output in a file.
 
     A roslaunch that owns the master ends everything when that dies; here the nodes go on with the connections that they
-    have. However the caller dies, nothing is left behind: the kernel interrupts both then, roslaunch ends its nodes,
+    have. However the caller dies, nothing is left behind: the kernel terminates both then, roslaunch ends its nodes,
     and the vehicle nodes land their vehicles. (The kernel watches the thread that starts it: let that be the main one.)
     """
 
@@ -103,9 +103,9 @@ class Launch:
             )
             self._core = None
             if not _listens(master_port):
-                self._core = start(mortal("INT", ["roscore", "-p", master_port]))
+                self._core = start(mortal("TERM", ["roscore", "-p", master_port]))
                 wait_until(lambda: _listens(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
-            self._process = start(mortal("INT", ["roslaunch", "--skip-log-check", launch_file, *arguments]))
+            self._process = start(mortal("TERM", ["roslaunch", "--skip-log-check", launch_file, *arguments]))
 
     def running(self):
         """Whether roslaunch is alive; it ends by itself when a required node dies."""

@@ -66,6 +66,7 @@ class FaultSettings(Settings):
     default: FaultDefault = FaultDefault()
     grades: dict[str, float] = field(default_factory=dict)  # {mild, medium, severe: value of the argument}
     shared: bool = False  # one act for all channels of an event: then they are silent at the same time
+    lasts: bool = False  # what it has done to its vehicle stays when it is over
     per_vehicle: bool = False  # it happens to one vehicle, which the seed chooses unless the event names one
     # outcomes of a flight that are safe with it; breach: nothing can be done against it
     safe: tuple[Literal["completed", "held", "landed", "breach"], ...] = ("completed", "held", "landed")

@@ -12,6 +12,7 @@ class OfflineLink:
     """
 
     REPORT_PERIOD_S = 0.06  # between two reports of the vehicle
+    report_delay_s = 0.0  # of the next one, from what it tells to who hears it
 
     def __init__(self, vehicle, phase, noise=1.0):
         """vehicle: world.Vehicle.  phase: of the radio's clock, a fraction.  noise: factor, of its sensors."""
@@ -43,8 +44,14 @@ class OfflineLink:
     def lose(self, now_s):
         """The computer of the driver is gone from now on: nothing is sent any more."""
 
-    def report(self):
-        """(FlightPhase, charge in percent, velocity) as the vehicle tells its driver. It flies as long as one likes: 90
-        is told until another charge is put in.  velocity: (forward, right) [m/s], level; None: it measures none.
+    @property
+    def phase(self):
+        """FlightPhase as the vehicle tells its driver."""
+        return self.vehicle.phase
+
+    def report(self, now_s):
+        """(FlightPhase, charge in percent, {what its sensors say}) as the vehicle tells its driver. It flies as long as
+        one likes: 90 is told until another charge is put in. Of sensors: with the names of `risc_control.vehicles`'
+        Status.
         """
-        return self.vehicle.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0, None
+        return self.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0, {}

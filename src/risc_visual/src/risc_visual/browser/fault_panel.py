@@ -36,8 +36,9 @@ class FaultPanel:
             self._about = gui.add_html("")
             self._argument = gui.add_text("argument", "", hint="empty: the default")
             self._vehicle = gui.add_dropdown("vehicle", (_CHOSEN, _EACH, *self._names))
-            gui.add_button("let it happen").on_click(lambda _event: self._inject(self.text))
-            gui.add_button("end all faults").on_click(lambda _event: self._inject(""))
+            # other colours than those of the buttons that land
+            gui.add_button("inject", color="orange").on_click(lambda _event: self._inject(self.text))
+            gui.add_button("end all faults", color="gray").on_click(lambda _event: self._inject(""))
             self._status = gui.add_html("")
         self._fault.on_update(lambda _event: self._choose())
         self._show_kind()
@@ -67,7 +68,7 @@ class FaultPanel:
                     self._began.add(record.id)
                 now = "acts" if record.active else "has ended" if record.id in self._began else "waits"
                 words = "%s %s" % (_words(record.name, record.args), now)
-                self._told.append(("bad" if record.active else "small", words))
+                self._told.append(("hand" if record.active else "small", words))
             self._show_status()
 
     def note_answer(self, done, text):
@@ -87,7 +88,8 @@ class FaultPanel:
         self._vehicle.disabled = not kind.per_vehicle
         if not kind.per_vehicle:
             self._vehicle.value = _CHOSEN
-        self._about.content = _rm("%s<br/>%s" % (html.escape(kind.summary), html.escape(argument_words(kind))))
+        words = html.escape(kind.summary), html.escape(argument_words(kind))
+        self._about.content = _rm('%s<div class="small">argument: %s</div>' % words)
 
     def _show_status(self):
         if self._folder is None:
@@ -103,7 +105,7 @@ def argument_words(kind):
     """What the argument of a FaultKind is, e.g. "duration 0 to 60 s (default 0.3): mild 0.1, severe 3"."""
     unit = " " + kind.unit if kind.unit else ""
     if kind.least == kind.greatest:
-        return "takes no argument"
+        return "none"
     most = "%g to %g" % (kind.least, kind.greatest) if math.isfinite(kind.greatest) else "from %g" % kind.least
     words = "%s %s%s (default %g)" % (kind.argument.partition("_")[0], most, unit, kind.default_value)
     grades = ", ".join("%s %g" % grade for grade in zip(kind.grades, kind.grade_values))

@@ -35,10 +35,10 @@ class OfflineLink(offline_link.OfflineLink):
             self._alarm_s = math.inf
             self.lose(now_s - LOST_S)
 
-    def report(self):
+    def report(self, now_s):
         state, logic = self.vehicle.state, self.vehicle.firmware
         forward_m_s, right_m_s, _ = self._sensors.velocity_m_s(state) if logic.motors_on else (0.0, 0.0, 0.0)
-        return *super().report()[:2], (forward_m_s, right_m_s)
+        return *super().report(now_s)[:2], {"velocity_m_s": (forward_m_s, right_m_s)}
 
     def lose(self, now_s):
         """It takes notice, hovers, and lands."""

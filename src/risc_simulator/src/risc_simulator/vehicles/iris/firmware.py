@@ -13,11 +13,13 @@ from collections import deque
 from enum import IntEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase
 from risc_simulator.vehicles.iris.parameters import Parameters
-from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA
+from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA, sensor_errors
 
 CHANNELS = 8
 ROLL, PITCH, THROTTLE, YAW = range(4)
@@ -95,6 +97,8 @@ class IrisFirmware(Firmware):
     vehicle, sensors: world.Vehicle that it is in, and its IrisSensors; its host says so.
     parameters: those of the same names of ArduCopter; they act as soon as they are set.
     texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
+    level_error_rad: of the roll and pitch that it believes to have; with these it comes to what the sticks say.
+    telemetry_delay_s: from what it says to who hears it.
     """
 
     vehicle = sensors = None
@@ -104,6 +108,10 @@ class IrisFirmware(Firmware):
         self.texts = deque(maxlen=100)
         self.parameters = _parameters_of(vehicle_type)
         self._take_parameters()
+        errors = sensor_errors()
+        roll, pitch, delay = np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if perturbed else (0.0, 0.0, 0.0)
+        self.level_error_rad = errors.level_error_rad * roll, errors.level_error_rad * pitch
+        self.telemetry_delay_s = max(0.0, vehicle_type.report_delay_s + errors.delay_spread_s * delay)
         self._hover = vehicle_type.hover_throttle
         self._battery = Battery(vehicle_type.battery_life_s)
         self._switch_on(0.0)
@@ -447,7 +455,8 @@ class IrisFirmware(Firmware):
         else:
             up = (self._climb_m_s if throttle > 0.0 else self._descent_m_s) * _beyond(throttle, self._climb_dead)
             self._choose_height(up, vertical_motion)
-        self.command = (self._tilt_rad * roll, self._tilt_rad * pitch, self._yaw_rate_rad_s * yaw, up)
+        tilts_rad = (self._tilt_rad * stick - error for stick, error in zip((roll, pitch), self.level_error_rad))
+        self.command = (*tilts_rad, self._yaw_rate_rad_s * yaw, up)
         if self.armed and not self.lifted and self._lifts():
             self.lifted = True
             self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass

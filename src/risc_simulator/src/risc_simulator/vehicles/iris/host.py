@@ -9,6 +9,7 @@ the radio and the telemetry away, not the line.
 
 import ipaddress
 import logging
+import math
 import socket
 from collections import namedtuple
 from functools import partial
@@ -21,7 +22,7 @@ from risc_simulator.socket_host import SocketSet, VehicleHost, open_socket, rese
 from risc_simulator.vehicles.iris.firmware import RcFrame
 from risc_simulator.vehicles.iris.mavlink import Mavlink
 from risc_simulator.vehicles.iris.sensors import IrisSensors
-from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver, radio_delay_s
+from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver, radio_delay_s, telemetry_delay_s
 
 MAX_BACKLOG_BYTES = 4096  # a client that does not read loses the rest, as by a serial port
 DEAD_CLIENT_MS = 1000  # what is written to a client is not acknowledged for so long: it is gone
@@ -52,6 +53,7 @@ class IrisHost(VehicleHost):
         super().__init__(vehicle, wires)
         self.address = address
         self._mavlink_wire, self._radio_wire = self.wire("mavlink"), self.wire("radio")
+        self._told_s = -math.inf  # when what was said last arrives
         self._radio_loss, self._radio_delay_s = radio_loss, radio_delay_s(vehicle.plant)
         name = crc32(vehicle.namespace.encode("utf-8"))
         self._losses = np.random.default_rng([seed, name, 1])
@@ -131,8 +133,14 @@ class IrisHost(VehicleHost):
                 yield item
 
     def _send_telemetry(self, data, address):
+        """By a radio that sends in turns: late, and in order."""
         if not self._is_lost("telemetry_lost_out"):
-            self._mavlink_wire.carry(data, address, self._now_s, self._send)
+            late_s = telemetry_delay_s(self._vehicle.firmware, self._losses)
+            self._told_s = max(self._told_s, self._now_s + late_s)
+            self.wires.call_at(self._told_s, partial(self._carry_telemetry, data, address))
+
+    def _carry_telemetry(self, data, address, now_s):
+        self._mavlink_wire.carry(data, address, now_s, self._send)
 
     def _send(self, data, address, _now_s):
         try:

@@ -212,7 +212,9 @@ class Messages:
         return mavlink.MAVLink_gps_global_origin_message(latitude, longitude, round(1e3 * altitude_m), _us(now_s))
 
     def _nav_controller_output(self, _now_s):
-        roll_deg, pitch_deg = (math.degrees(angle) for angle in self._vehicle.firmware.command[:2])
+        firmware = self._vehicle.firmware
+        wanted_rad = (angle + error for angle, error in zip(firmware.command[:2], firmware.level_error_rad))
+        roll_deg, pitch_deg = map(math.degrees, wanted_rad)
         return mavlink.MAVLink_nav_controller_output_message(roll_deg, pitch_deg, 0, 0, 0, 0.0, 0.0, 0.0)
 
     # ------------------------------------------------------------------ sensors, motors, channels

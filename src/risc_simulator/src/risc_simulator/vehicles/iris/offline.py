@@ -6,9 +6,12 @@ The board is as firmware/dueppm is shipped (configuration.h); its limits of plau
 import math
 from collections import deque
 
+import numpy as np
+
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.vehicles.iris.firmware import CENTRE_US, HALF_RANGE_US, RcFrame
-from risc_simulator.vehicles.iris.transmitter import LINE_S, radio_delay_s
+from risc_simulator.vehicles.iris.sensors import IrisSensors
+from risc_simulator.vehicles.iris.transmitter import LINE_S, radio_delay_s, telemetry_delay_s
 
 FRAME_S = 0.020
 FAILSAFE_S = 0.5  # without sticks
@@ -26,6 +29,8 @@ class OfflineLink:
         self._frame_s = phase * FRAME_S  # when the next frame begins
         self._coming = deque()  # (time, channels) on the line to the board
         self._heard_s, self._channels_us = math.inf, None  # until the first sticks the board sends nothing
+        self._rng = np.random.default_rng(int(phase * 2**32))  # the phase is the seed's
+        self._sensors = IrisSensors(vehicle, self._rng, noise)
 
     def send(self, sticks, now_s, level_only=False):
         """As serial_node sends them: phi, theta, T, psi, with the signs of the angles."""
@@ -51,9 +56,21 @@ class OfflineLink:
     def lose(self, now_s):
         """The board's failsafe follows by itself."""
 
-    def report(self):
+    @property
+    def phase(self):
         """Armed it flies, for who hears no more than that, until it lands."""
         phase, logic = self.vehicle.phase, self.vehicle.firmware
-        if phase is FlightPhase.LANDED and logic.armed:
-            phase = FlightPhase.FLYING
-        return phase, round(self.vehicle.battery_pct), None
+        return FlightPhase.FLYING if phase is FlightPhase.LANDED and logic.armed else phase
+
+    @property
+    def report_delay_s(self):
+        return telemetry_delay_s(self.vehicle.firmware, self._rng)
+
+    def report(self, now_s):
+        read = self._sensors.read(now_s)
+        said = {
+            "tilt_rad": (read.roll_rad, read.pitch_rad),
+            "height_m": read.altitude_m,
+            "climb_m_s": read.climb_m_s,
+        }
+        return self.phase, round(read.battery_pct), said

@@ -3,23 +3,14 @@
 Axes are the aircraft's: x nose, y right, z down; roll + right side down, pitch + nose up, yaw + clockwise from above.
 """
 
+import functools
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import NotNegative, Positive, Settings, settings_from
 from risc_simulator.models.noise import normal_numbers
-
-# One standard deviation of each reading.
-ATTITUDE_NOISE_RAD = math.radians(0.05)
-ATTITUDE_BIAS_RAD = math.radians(0.3)  # of the level, per vehicle
-HEADING_BIAS_RAD = math.radians(3.0)  # of the compass indoors, per vehicle
-ACCELERATION_NOISE_M_S2 = 0.05
-GYRO_NOISE_RAD_S = math.radians(0.1)
-BAROMETER_NOISE_M = 0.06
-BAROMETER_DRIFT_M = 0.3  # that it wanders around the truth, with this time constant
-BAROMETER_DRIFT_S = 60.0
-CLIMB_NOISE_M_S = 0.05
-MAGNETIC_NOISE_MG = 2.0  # milligauss
-VOLTAGE_NOISE_MV = 10.0
 
 FIELD_NORTH_MG, FIELD_DOWN_MG = 210.0, 470.0  # earth's field [milligauss]; the lab's x axis is magnetic north
 GROUND_PRESSURE_PA = 85800.0  # a lab at 1400 m
@@ -27,6 +18,36 @@ PRESSURE_PER_METRE_PA = 10.4
 TEMPERATURE_C = 38.0
 EMPTY_MV, MV_PER_PCT = 10500.0, 21.0  # three LiPo cells: 12.6 V full
 CAPACITY_AH = 3.5
+
+
+@dataclass(frozen=True)
+class SensorErrors(Settings):
+    """config/iris_sensors.yaml, which says what each is."""
+
+    level_error_rad: NotNegative
+    attitude_noise_rad: NotNegative
+    heading_error_rad: NotNegative
+    gyro_noise_rad_s: NotNegative
+    acceleration_noise_m_s2: NotNegative
+    barometer_noise_m: NotNegative
+    barometer_noise_s: Positive
+    barometer_drift_m: NotNegative
+    barometer_drift_s: Positive
+    rotor_wash_m: NotNegative
+    climb_noise_m_s: NotNegative
+    climb_error_m_s: NotNegative
+    climb_error_s: Positive
+    magnetic_noise_mg: NotNegative
+    voltage_noise_mv: NotNegative
+    delay_spread_s: NotNegative
+    jitter_s: NotNegative
+
+
+@functools.cache
+def sensor_errors():
+    """SensorErrors of every IRIS+. Raises ValueError that names the file and the key."""
+    path = package_file("risc_simulator", "config/iris_sensors.yaml")
+    return settings_from(SensorErrors, load_yaml(path), str(path))
 
 
 class Reading(NamedTuple):
@@ -54,19 +75,22 @@ class IrisSensors:
     def __init__(self, vehicle, rng, noise=1.0):
         """vehicle: world.Vehicle.  rng: numpy Generator of these sensors.  noise: factor, 0 gives exact readings."""
         self._vehicle, self._rest_height_m = vehicle, vehicle.height_m if not vehicle.firmware.lifted else 0.0
-        self._normal = normal_numbers(rng, noise)
-        self._level_rad = self._noise(ATTITUDE_BIAS_RAD), self._noise(ATTITUDE_BIAS_RAD)
-        self._heading_rad = self._noise(HEADING_BIAS_RAD)
-        self._drift_m, self._drift_s = 0.0, None
+        self._normal, self._errors = normal_numbers(rng, noise), sensor_errors()
+        e = self._errors
+        self._heading_rad = self._noise(e.heading_error_rad)
+        self._wash_m = noise * e.rotor_wash_m
+        self._barometer_m = _Wander(self._normal, e.barometer_noise_m, e.barometer_noise_s)
+        self._drift_m = _Wander(self._normal, e.barometer_drift_m, e.barometer_drift_s)
+        self._climb_m_s = _Wander(self._normal, e.climb_error_m_s, e.climb_error_s)
 
     def _noise(self, std):
         return std * next(self._normal)
 
     def read(self, time_s):
         """Reading at a time [s] that does not go back."""
-        n, vehicle = self._noise, self._vehicle
-        state = vehicle.state
-        a, g, m = ACCELERATION_NOISE_M_S2, GYRO_NOISE_RAD_S, MAGNETIC_NOISE_MG
+        n, vehicle, errors = self._noise, self._vehicle, self._errors
+        state, level_rad = vehicle.state, vehicle.firmware.level_error_rad
+        a, g, m = errors.acceleration_noise_m_s2, errors.gyro_noise_rad_s, errors.magnetic_noise_mg
         fx, fy, fz = state.specific_force_m_s2.tolist()
         sin_phi, cos_phi = math.sin(state.phi), math.cos(state.phi)
         sin_theta, cos_theta = math.sin(state.theta), math.cos(state.theta)
@@ -74,14 +98,13 @@ class IrisSensors:
         north1, east1 = FIELD_NORTH_MG * math.cos(state.psi), -FIELD_NORTH_MG * math.sin(state.psi)
         down2 = sin_theta * north1 + cos_theta * FIELD_DOWN_MG
         height_m = float(state.position_m[2]) - self._rest_height_m
-        self._wander(time_s)
-        altitude_m = height_m + self._drift_m + n(BAROMETER_NOISE_M)
-        pwm = state.motor_pwm[0] / 255.0
+        thrust_fraction = (state.motor_pwm[0] / 255.0) ** 2
+        altitude_m = height_m + self._drift_m.at(time_s) + self._barometer_m.at(time_s) - self._wash_m * thrust_fraction
         flies = vehicle.firmware.armed
         return Reading(
-            roll_rad=state.phi + self._level_rad[0] + n(ATTITUDE_NOISE_RAD),
-            pitch_rad=state.theta + self._level_rad[1] + n(ATTITUDE_NOISE_RAD),
-            yaw_rad=math.remainder(state.psi + self._heading_rad + n(ATTITUDE_NOISE_RAD), 2.0 * math.pi),
+            roll_rad=state.phi + level_rad[0] + n(errors.attitude_noise_rad),
+            pitch_rad=state.theta + level_rad[1] + n(errors.attitude_noise_rad),
+            yaw_rad=math.remainder(state.psi + self._heading_rad + n(errors.attitude_noise_rad), 2.0 * math.pi),
             rates_rad_s=(state.p + n(g), state.q + n(g), state.r + n(g)),
             acceleration_m_s2=(fx + n(a), fy + n(a), fz + n(a)),
             magnetic_mg=(
@@ -90,17 +113,28 @@ class IrisSensors:
                 -sin_phi * east1 + cos_phi * down2 + n(m),
             ),
             altitude_m=altitude_m,
-            climb_m_s=float(state.velocity_m_s[2]) + n(CLIMB_NOISE_M_S),
+            climb_m_s=float(state.velocity_m_s[2]) + self._climb_m_s.at(time_s) + n(errors.climb_noise_m_s),
             pressure_pa=GROUND_PRESSURE_PA - PRESSURE_PER_METRE_PA * altitude_m,
             battery_pct=state.battery_pct,
-            battery_mv=EMPTY_MV + MV_PER_PCT * state.battery_pct + n(VOLTAGE_NOISE_MV),
+            battery_mv=EMPTY_MV + MV_PER_PCT * state.battery_pct + n(errors.voltage_noise_mv),
             current_a=36.0 * CAPACITY_AH * vehicle.firmware.drain_pct_s,
-            thrust_fraction=pwm * pwm,
+            thrust_fraction=thrust_fraction,
             motor_us=tuple(round(1000 + 1000 * motor / 255.0) for motor in state.motor_pwm) if flies else (1000,) * 4,
         )
 
-    def _wander(self, time_s):
-        if self._drift_s is not None:
-            keep = math.exp(-max(0.0, time_s - self._drift_s) / BAROMETER_DRIFT_S)
-            self._drift_m = keep * self._drift_m + self._noise(BAROMETER_DRIFT_M * math.sqrt(1.0 - keep * keep))
-        self._drift_s = time_s
+
+class _Wander:
+    """An error that changes slowly, around 0."""
+
+    def __init__(self, normal, std, time_constant_s):
+        """normal: iterator of normal numbers."""
+        self._normal, self._std, self._time_constant_s = normal, std, time_constant_s
+        self._value, self._time_s = std * next(normal), None
+
+    def at(self, time_s):
+        """At a time [s] that does not go back."""
+        if self._time_s is not None:
+            keep = math.exp(-max(0.0, time_s - self._time_s) / self._time_constant_s)
+            self._value = keep * self._value + self._std * math.sqrt(1.0 - keep * keep) * next(self._normal)
+        self._time_s = time_s
+        return self._value

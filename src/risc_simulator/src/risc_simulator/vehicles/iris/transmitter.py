@@ -6,6 +6,8 @@ The firmware is the real one (firmware/dueppm), built for this computer. Its tim
 import ctypes
 from collections import Counter
 
+from risc_simulator.vehicles.iris.sensors import sensor_errors
+
 TICKS_PER_US = 42
 LINE_S = 0.015  # a message's way over the line to the board, at 57600 baud
 
@@ -17,6 +19,11 @@ _BYTES_PER_CALL = 1024
 def radio_delay_s(plant):
     """From the beginning of a frame to its effect on a vehicle, whose command delay has the serial line in it."""
     return max(0.0, plant.command_delay_s - LINE_S)
+
+
+def telemetry_delay_s(autopilot, rng):
+    """Of the next datagram of an IrisFirmware, by its radio's turns."""
+    return autopilot.telemetry_delay_s + sensor_errors().jitter_s * rng.random()
 
 
 class _Edge(ctypes.Structure):
