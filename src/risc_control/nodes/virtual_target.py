@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import rospy
 from std_msgs.msg import Float64
 
+from risc_control.feasibility import fleet_ways
 from risc_control.pursuit_reference import TargetParams, VirtualTarget
 from risc_control.ros.controller_node import main
 from risc_control.ros.joystick_buttons import ButtonParams, ButtonSubscriber
-from risc_control.ros.trajectory_node import ManagerWiring, ReferenceNode, TrajectoryParams
+from risc_control.ros.trajectory_node import ManagerWiring, ReferenceNode, TrajectoryParams, check_courses
 from risc_lab.ros.params import VEHICLE_KEYS, load_params, vehicles
 from risc_lab.settings import Count
 
@@ -27,7 +28,10 @@ class VirtualTargetNode(ReferenceNode):
     def __init__(self):
         kinds = TrajectoryParams, TargetParams, ChaseParams
         params, target, chase = load_params(*kinds, known=VEHICLE_KEYS, lenient=True)
-        wiring = ManagerWiring(vehicles(only_one=True), target.waiting_place(), params, VirtualTarget)
+        pursuers = vehicles(only_one=True)
+        check_courses([target.waiting_place(), target.target_course()], pursuers)
+        params = fleet_ways(params, pursuers)
+        wiring = ManagerWiring(pursuers, target.waiting_place(), params, VirtualTarget)
         self._target = wiring.manager
         self._target.target = target.target_course()
         self._pursuing = False

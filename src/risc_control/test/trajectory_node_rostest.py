@@ -4,6 +4,7 @@
 import collections
 import itertools
 import math
+import subprocess
 import threading
 import time
 import unittest
@@ -19,7 +20,7 @@ from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
 
-NODES = ("generic", "quadrants", "demo", "circle", "circles3", "target", "knot")
+NODES = ("generic", "quadrants", "demo", "circle", "circles3", "target", "knot", "eight")
 NAMES = ("fluffy_II", "albatross")
 HOVER = {"fluffy_II": (0.8, 0.1, 0.9), "albatross": (-0.9, 0.0, 1.0)}
 RATE_HZ = 200.0
@@ -218,6 +219,24 @@ class TrajectoryNodeTest(unittest.TestCase):
         wait_for(lambda: self.lab.courses["target"] == ["WP", "NGC"], "the target is let go")
         wait_for(lambda: math.hypot(*self.target_velocity()) > 0.1, "the target runs")
         self.assertAlmostEqual(math.hypot(*self.target_velocity()), 0.2, places=3)
+
+    def test_9_through_waypoints_at_a_speed(self):
+        self.lab.wait_for_phase("eight", "course")
+        self.assertEqual(self.lab.courses["eight"], ["through points"])
+        wait_for(lambda: len(self.lab.references["eight"]) > 2000, "a round of references")  # in 7 s
+        flown = [entry for message in list(self.lab.references["eight"]) for entry in message.Obj]
+        speeds = [math.hypot(entry.xdot, entry.ydot) for entry in flown]
+        self.assertAlmostEqual(max(speeds), 0.9, places=3)
+        self.assertGreater(max(entry.psi for entry in flown), math.radians(19.0))
+
+    def test_a_course_that_cannot_be_flown_ends_its_node_with_one_line(self):
+        command = ["rosrun", "risc_control", "generic_trajectory.py", "_course:=flat8", "_course_speed:=4.0"]
+        done = subprocess.run([*command, "__name:=too_fast"], capture_output=True, text=True, timeout=120)
+        self.assertNotEqual(done.returncode, 0)
+        told = [line for line in (done.stdout + done.stderr).splitlines() if "'flat8' cannot be flown" in line]
+        self.assertEqual(len(told), 1)
+        self.assertIn("it can be flown at --speed", told[0])
+        self.assertNotIn("Traceback", done.stdout + done.stderr)
 
     def target_velocity(self):
         entry = self.lab.newest("target")["fluffy_II"]

@@ -24,6 +24,9 @@ ROOT = pathlib.Path(__file__).resolve().parents[3]
         (["--mocap-rate", "40"], "--mocap-rate"),
         (["--psi", "nan"], "--psi"),
         (["--trajectory", "loop"], "--trajectory"),
+        (["--trajectory", "nowhere.yaml"], "--trajectory"),
+        (["--speed", "fast"], "--speed"),
+        (["df_demo", "--speed", "2x"], "--speed"),
         (["--controller", "autopilot"], "--controller"),
         (["df_demo", "--controller", "thesis_lqr"], "--controller"),
         (["--fault", "fire"], "--fault"),
@@ -56,6 +59,7 @@ def test_faults_come_from_the_command_line_and_from_a_file(tmp_path):
         (["--fault", "drop:0.1,channel=risc1/nav"], "risc1/nav"),
         (["--fleet", str(ROOT / "launch/fleets/ardrones5.yaml"), "--vehicles", "9"], "ardrones5"),
         (["--fleet", "nowhere.yaml"], "nowhere.yaml"),
+        (["--trajectory", "flat8", "--speed", "4"], "it can be flown at --speed"),
         (["--vehicles", "97"], "101"),  # bodies, with landmarks: one more than Cortex's clients hold
     ],
 )

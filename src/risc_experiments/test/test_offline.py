@@ -115,7 +115,7 @@ def test_the_table(capsys):
     [
         (["--vehicles", "300"], "300"),
         (["--delay", "2"], "command period are 2 s, too long"),
-        (["--trajectory", "loop"], "invalid choice"),
+        (["--trajectory", "loop"], "choose from circle"),
         (["--workers", "0"], "worker"),
     ],
 )

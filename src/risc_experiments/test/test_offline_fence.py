@@ -29,13 +29,15 @@ def fly(kind, seed, delay_s, duration_s=20.0, wild=True, **node):
     (vehicle,), converter = world.vehicles.values(), ControlsConverter([vehicle_type])
     vehicle.fly_at((0.0, 0.0, 1.2), rng.uniform(-3.0, 3.0))
     params = VehicleNodeParams(joystick_timeout=0.0, **node)
-    chain = offline.Chain(vehicle, rng.random(), 1.0, params, Wires(seed), lambda *_: None, lambda *_: None)
+    wires = Wires(seed)
+    chain = offline.Chain(vehicle, rng.random(), 1.0, params, wires, lambda *_: None, lambda *_: None)
     judge, most, change_s, least_m = Plausibility({"v": vehicle_type}, params), greatest_command(vehicle_type), 1.0, 9.0
     hover_n, tilts, up = vehicle_type.mass_kg * GRAVITY_M_S2, np.zeros(2), 1.0
     for frame in range(round(duration_s / offline.FRAME_S)):
         time_s = frame * offline.FRAME_S
         now_s = time_s + offline.LATENCY_S
         world.step_to(time_s)
+        wires.release(now_s)
         x = world.truth() + NOISE * rng.standard_normal((1, 12))
         least_m = min(least_m, np.min(world._net_m[:2] - np.abs(x[0, :2])), world._net_m[2] - x[0, 2])
         if time_s >= 1.0 and not chain.pilot.autonomous and not chain.said:

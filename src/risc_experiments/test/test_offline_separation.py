@@ -68,7 +68,7 @@ IRIS_M = load_vehicle_type("iris").wider_m
     ("types", "what", "seed", "limit_m"),
     [
         (("iris",) * 3, "controls", 4, LIMITS.separation_m + 2.0 * IRIS_M),
-        (("iris", "ardrone", "ardrone"), "controls", 6, LIMITS.separation_m + IRIS_M),
+        (("iris", "ardrone", "ardrone"), "controls", 9, LIMITS.separation_m + IRIS_M),
     ],
 )
 def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):

@@ -253,6 +253,21 @@ def test_defaults_of_the_command_line():
         assert (args.vehicles, args.duration) == (1, 20.0)
 
 
+def test_a_flight_through_waypoints_keeps_them_in_its_folder(tmp_path):
+    path = tmp_path / "square.yaml"
+    corners = [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, 1.0]]
+    path.write_text(yaml.safe_dump({"waypoints": [{"position_m": corner} for corner in corners]}))
+    (tmp_path / "flight").mkdir()
+    args = arguments(["--vehicles", "1", "--trajectory", str(path), "--speed", "0.9"])
+    fleet = prepare_fleet(args, "127.99", tmp_path / "flight")
+    told = launch_arguments(args, fleet, tmp_path / "flight")
+    assert (told["trajectory"], told["speed"]) == ("square", "0.9")
+    assert told["waypoints"].parent == tmp_path / "flight" and told["waypoints"].read_bytes() == path.read_bytes()
+    args = arguments(["--vehicles", "1", "--trajectory", str(path), "--speed", "9"])
+    with pytest.raises(ValueError, match="'square' cannot be flown by type 'ardrone': .* at --speed"):
+        prepare_fleet(args, "127.99", tmp_path / "flight")
+
+
 def test_as_many_vehicles_as_asked_for(tmp_path):
     fleet = prepare_fleet(arguments(["--vehicles", "8", "--trajectory", "flat8"]), "127.99", tmp_path)
     assert [v.namespace for v in fleet.vehicles] == ["risc%d" % k for k in range(1, 9)]

@@ -53,6 +53,20 @@ def test_an_emptying_battery_sinks_a_vehicle_whose_throttle_stays():
     assert 0.1 < lost_m_s == pytest.approx(-hands.vehicle.state.velocity_m_s[2], rel=0.15)
 
 
+def test_a_battery_that_gives_way_takes_the_lift_by_and_by():
+    """Of another battery with the same charge the vehicle would fall at 2 m/s within 0.6 s."""
+    fallen_m_s = {}
+    for how in "set_battery_pct", "weaken_battery":
+        world, hands = flying(changes={"battery_life_s": 1e9})
+        hands.send(0.2, throttle=hands.throttle_for())
+        throttle_us = hands.throttle_for()
+        getattr(hands.vehicle, how)(10.0)
+        hands.send(0.6, throttle=throttle_us)
+        assert hands.vehicle.battery_pct == pytest.approx(10.0)
+        fallen_m_s[how] = -hands.vehicle.state.velocity_m_s[2]
+    assert fallen_m_s["set_battery_pct"] > 1.5 and 0.02 < fallen_m_s["weaken_battery"] < 0.3
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_true_hover_throttle_of_a_perturbed_vehicle(seed):
     world, hands = flying(perturbed=True, seed=seed, changes={"battery_life_s": 1e9})

@@ -56,21 +56,24 @@ class Fence:
 
     def stop_m(self, axis, speed_m_s, push_m_s2=0.0):
         """How far it goes on at a speed and an acceleration outwards, until it has stopped."""
-        brakes_s, pushed_s, m_s2 = self._stops[axis]
-        gains_m_s = push_m_s2 * pushed_s
-        coasts_m = speed_m_s * brakes_s + gains_m_s * (brakes_s - 0.5 * pushed_s)
-        return max(0.0, coasts_m) + 0.5 * max(0.0, speed_m_s + gains_m_s) ** 2 / m_s2
+        return _stop_m(speed_m_s, push_m_s2, *self._stops[axis])
 
     def leaves(self, position_m, velocity_m_s, pushes=()):
         """Whether it cannot stop in the room any more. All (3,), cortex frame; of `pushes` the worst counts."""
-        by_axis = tuple(zip(*pushes)) or _STILL
-        for axis, (low, high) in enumerate(self._room_m):
-            at_m, speed_m_s = position_m[axis], velocity_m_s[axis]
-            if at_m + self.stop_m(axis, speed_m_s, max(by_axis[axis])) > high:
+        by_axis = zip(position_m, velocity_m_s, tuple(zip(*pushes)) or _STILL, self._room_m, self._stops)
+        for at_m, speed_m_s, push_m_s2, (low, high), stops in by_axis:
+            if at_m + _stop_m(speed_m_s, max(push_m_s2), *stops) > high:
                 return True
-            if at_m - self.stop_m(axis, -speed_m_s, -min(by_axis[axis])) < low:
+            if at_m - _stop_m(-speed_m_s, -min(push_m_s2), *stops) < low:
                 return True
         return False
+
+
+def _stop_m(speed_m_s, push_m_s2, brakes_s, pushed_s, brakes_m_s2):
+    """See the module."""
+    gains_m_s = push_m_s2 * pushed_s
+    coasts_m = speed_m_s * brakes_s + gains_m_s * (brakes_s - 0.5 * pushed_s)
+    return max(0.0, coasts_m) + 0.5 * max(0.0, speed_m_s + gains_m_s) ** 2 / brakes_m_s2
 
 
 def pushed_m_s2(phi_rad, theta_rad, psi_rad):

@@ -1,12 +1,14 @@
 """Motions of vehicles over time, with exact derivatives to any order, and smooth ways from one into another.
 
-A motion is a chain of links. Each link is a simple motion: the vehicle stands, coasts to rest, flies a sum of harmonics
-or a tour of points; each but the first is also the blend into it from the links before. Links are records, so that
-compiled code evaluates a whole fleet in one call. It works with Taylor series about the time that is asked for: sums,
-products and quotients of series are exact, however many derivatives there are.
+A motion is a chain of links. Each link is a simple motion: the vehicle stands, coasts to rest, flies a sum of
+harmonics, polynomials or a tour of points; each but the first is also the blend into it from the links before. Links
+are records, so that compiled code evaluates a whole fleet in one call. It works with Taylor series about the time that
+is asked for: sums, products and quotients of series are exact, however many derivatives there are.
 
 The rows of a link are (k, 4) complex: a rate r [1/s] and amplitudes x, y, z [m] of terms Re(amplitude exp(r t)), or,
-without a rate, the stops of a tour.
+without a rate, the stops of a tour. Polynomials are flown one after the other, round and round; each has the row of its
+begin and duration [s], and then its coefficients, lowest power first, of psi [rad], x, y, z over the fraction of its
+duration.
 
 Frame: cortex (x forward, y left, z up), metres, seconds. Yaw psi is + clockwise seen from above (NED sense), radians.
 Arrays of derivatives have the order (0 = position ... 4 = snap) as their first axis, and x, y, z, psi as their last.
@@ -18,6 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
+from risc_control.minimum_snap import COEFFICIENTS
 from risc_control.reference_buffer import MOST_ORDER, Axis, Order
 from risc_lab.compiled import compiled, record
 
@@ -28,7 +31,8 @@ LINK = record(
     ("epoch_s", float),  # the link's own time counts from here
     ("position_m", float, (3,)),  # added to what the rows say
     ("rest_s", float),  # of a tour: at each stop,
-    ("move_s", float),  # and from one to the next; 0: the rows are terms
+    ("move_s", float),  # and from one to the next; 0: the rows are terms, or
+    ("pieces", int),  # so many polynomials
     ("yaw_rad", float),  # at the epoch
     ("yaw_rate_rad_s", float),
     ("along_path", bool),  # the nose leads; the rest of the yaw is added
@@ -42,6 +46,7 @@ LINK = record(
     ("arrived", int),  # and after it
 )
 _NO_ROWS = np.zeros((0, 4), dtype=complex)
+_PIECE_ROWS = 1 + COEFFICIENTS
 _STOP_S = 1.0  # time constant with which a vehicle that drifts is brought to rest
 _SLOWEST_ALONG_PATH_M_S = 0.05  # below this speed a path has no direction worth turning the nose to
 
@@ -104,6 +109,8 @@ def _simple(link, table, time_s, step, series):
             series[0, axis] += here
             for d in range(len(series)):
                 series[d, axis] += step[d] * (there - here)
+    elif link.pieces > 0:
+        _piece(link, table, t, step, series)
     else:
         for row in range(link.first, link.first + link.rows):
             rate, now = table[row, 0], np.exp(table[row, 0] * t)
@@ -114,6 +121,30 @@ def _simple(link, table, time_s, step, series):
                     term *= rate / (d + 1)
     if link.along_path:
         _turn_along(series)
+
+
+@compiled
+def _piece(link, table, t, step, series):
+    """Add the polynomial of a link that is flown at its time t. step: to work in."""
+    newest, before = link.pieces - 1, 0
+    last = link.first + newest * _PIECE_ROWS
+    period_s = table[last, 0].real + table[last, 1].real
+    t -= period_s * math.floor(t / period_s)
+    while before < newest:
+        middle = (before + newest + 1) // 2
+        if table[link.first + middle * _PIECE_ROWS, 0].real <= t:
+            before = middle
+        else:
+            newest = middle - 1
+    row = link.first + newest * _PIECE_ROWS
+    begin_s, duration_s = table[row, 0].real, table[row, 1].real
+    polynomial = np.empty(COEFFICIENTS)
+    for column in range(4):
+        for power in range(COEFFICIENTS):
+            polynomial[power] = table[row + 1 + power, column].real
+        _expand(polynomial, (t - begin_s) / duration_s, duration_s, step)
+        for d in range(len(series)):
+            series[d, column - 1] += step[d]  # psi, which comes first, is the last of a series
 
 
 @compiled
@@ -238,6 +269,27 @@ class Motion:
         chain = Motion(np.concatenate([self.links, other.links[-1:]]), [*self.rows, other.rows[-1]])
         return chain.with_fields(**fields)
 
+    def faster(self, factor):
+        """The same path of a single link, flown so many times as fast; its time 0 stays where it is."""
+        links = self.links.copy()
+        for key in ("epoch_s", "rest_s", "move_s"):
+            links[key] /= factor
+        links["yaw_rate_rad_s"] *= factor
+        rows = self.rows[0].copy()
+        if links["pieces"][0]:
+            rows[::_PIECE_ROWS, :2] /= factor
+        elif not links["move_s"][0] > 0.0:
+            rows[:, 0] *= factor
+        return Motion(links, [rows])
+
+    def with_yaw(self, yaw_rad, yaw_rate_rad_s, along_path):
+        """The same path of a single link with another yaw; that of polynomials is forgotten."""
+        rows = self.rows[0].copy()
+        for power in range(COEFFICIENTS if self.links["pieces"][0] else 0):
+            rows[1 + power :: _PIECE_ROWS, 0] = 0.0
+        motion = Motion(self.links, [rows])
+        return motion.with_fields(yaw_rad=yaw_rad, yaw_rate_rad_s=yaw_rate_rad_s, along_path=along_path)
+
     def with_fields(self, **fields):
         """The same motion with other values in its last link."""
         links = self.links.copy()
@@ -275,6 +327,14 @@ def simple_motion(rows=_NO_ROWS, **fields):
     links = np.zeros(1, LINK)
     links["smooth"], links["begin_s"], links["end_s"], links["yaw_end_s"] = Order.SNAP, *3 * [-math.inf]
     return Motion(links, [rows]).with_fields(**fields)
+
+
+def polynomials(coefficients, durations_s):
+    """Motion along pieces (m, 8, 4), x, y, z and psi, that take so long (m,), again and again. See `minimum_snap`."""
+    rows = np.zeros((len(durations_s), _PIECE_ROWS, 4), dtype=complex)
+    rows[:, 0, 0], rows[:, 0, 1] = np.cumsum(durations_s) - durations_s, durations_s
+    rows[:, 1:] = np.roll(coefficients, 1, axis=2)
+    return simple_motion(rows.reshape(-1, 4), pieces=len(durations_s))
 
 
 def standing(position_m, yaw_rad):

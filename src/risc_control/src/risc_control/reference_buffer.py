@@ -9,6 +9,7 @@ microsecond to metres.)
 Samples that hold more derivatives are Taylor series: the newest one alone says what follows.
 """
 
+import functools
 import math
 from bisect import bisect
 from collections import deque
@@ -128,12 +129,9 @@ class ReferenceBuffer:
             return
         since_s = [stamp_s - newest_s for stamp_s, _ in nodes]
         if len(since_s) != len(self._spacing_s) or math.dist(since_s, self._spacing_s) > _SAME_S:
-            self._spacing_s = since_s
-            C = _conditions((np.array(since_s) + 0.5 * spacing_s) / spacing_s, _DEGREES[len(nodes)] + 1)
-            scales = spacing_s ** np.arange(_LEGACY_ORDERS)
-            self._fit = np.linalg.solve(C.T @ C, C.T) * np.tile(scales, len(nodes))
+            self._spacing_s, self._fit = since_s, _fit_of(tuple(since_s))
         data = np.concatenate([sample for _, sample in nodes]).reshape(len(nodes) * _LEGACY_ORDERS, -1)
-        self._polynomial = (self._fit @ data).reshape((-1,) + newest.shape[1:])
+        self._polynomial = self._fit.dot(data).reshape((-1,) + newest.shape[1:])  # of small ones, sooner done than @
 
     def _nodes(self):
         """Up to three samples about _NODE_SPACING_S apart, the newest first."""
@@ -153,6 +151,18 @@ class ReferenceBuffer:
 
 
 _FACTORIALS = np.array([math.factorial(d) for d in range(171)], dtype=float)  # all that a float can hold
+
+
+@functools.lru_cache(maxsize=256)  # in flight it hardly changes, and the next flight begins with the same ones
+def _fit_of(since_s):
+    """(size, k * 3): from the values and derivatives of k samples to the coefficients of the polynomial through them.
+
+    since_s: times of the samples since the newest one, which is the first.
+    """
+    spacing_s = -since_s[-1]
+    C = _conditions((np.array(since_s) + 0.5 * spacing_s) / spacing_s, _DEGREES[len(since_s)] + 1)
+    scales = spacing_s ** np.arange(_LEGACY_ORDERS)
+    return np.linalg.solve(C.T @ C, C.T) * np.tile(scales, len(since_s))
 
 
 def _conditions(times, size):

@@ -21,6 +21,7 @@ import numpy as np
 
 from risc_control.motions import Chains, simple_motion
 from risc_control.reference_buffer import Axis, Order
+from risc_control.waypoints import Waypoints, load_waypoints
 from risc_lab.compiled import compiled
 from risc_lab.lab.generated_fleet import SPACING_M, rows
 from risc_lab.settings import Positive, Settings, settings_from
@@ -35,6 +36,7 @@ _FROM_TOP_M = 0.5
 _BETWEEN_COPIES_M = 1.2  # of a figure,
 _WITHIN_COPIES_M = 0.85  # and between the vehicles of each: there is room for the ways of others
 _SAMPLES = 256  # of a path: it may have harmonics to a quarter of that
+_SPEED_STEP_S = 0.02  # where the largest speed is looked for
 _LEAST_AMPLITUDE_M = 1e-12  # of a harmonic; what is less is rounding
 
 
@@ -78,8 +80,12 @@ class Course:
         """The same course with a YawProgram instead of its own; None = its own."""
         if yaw is None:
             return self
-        fields = {"yaw_rad": yaw.offset_rad, "yaw_rate_rad_s": yaw.rate_rad_s, "along_path": yaw.along_path}
-        return replace(self, paths=tuple(path.with_fields(**fields) for path in self.paths))
+        program = yaw.offset_rad, yaw.rate_rad_s, yaw.along_path
+        return replace(self, paths=tuple(path.with_yaw(*program) for path in self.paths))
+
+    def faster(self, factor):
+        """The same course, flown so many times as fast."""
+        return replace(self, paths=tuple(path.faster(factor) for path in self.paths), period_s=self.period_s / factor)
 
     @property
     def repeat_s(self):
@@ -105,8 +111,12 @@ def figure(name, vehicles, period_s, path):
 
     path: function of the phase (k,) [rad], 2 pi in a period, that gives x, y, z [m].  Raises ValueError as `harmonics`.
     """
+    return _one_after_the_other(name, vehicles, period_s, simple_motion(harmonics(path, period_s)))
+
+
+def _one_after_the_other(name, vehicles, period_s, motion):
+    """Course on which all fly one Motion, as in `figure`."""
     grid = 240
-    motion = simple_motion(harmonics(path, period_s))
     points = motion.at(period_s * np.arange(grid) / grid, Order.POSITION)[0, :, : Axis.PSI]
     # distance over a period of two vehicles that are m grid steps apart, at its smallest
     apart_m = np.array([np.sqrt(((points - np.roll(points, -m, axis=0)) ** 2).sum(axis=1)).min() for m in range(grid)])
@@ -252,19 +262,41 @@ COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot,
 def make_course(name, vehicles, **options):
     """The Course of that name for so many vehicles.
 
-    options: the keyword arguments of the function in COURSES.
+    name: in COURSES, or Waypoints.  options: the keyword arguments of the function in COURSES.
     Raises ValueError for an unknown name or option, or a course that is not for so many vehicles.
     """
     if vehicles < 1:
         raise ValueError("a course needs at least one vehicle, got %r" % (vehicles,))
     numbers = settings_from(course_settings(name), options, "trajectory '%s'" % name)
+    if isinstance(name, Waypoints):
+        return _through_waypoints(name, vehicles)
     return COURSES[name](vehicles, **vars(numbers))
 
 
+def _through_waypoints(waypoints, vehicles):
+    motion, period_s = waypoints.path
+    course = _one_after_the_other(waypoints.name, vehicles, period_s, motion)
+    closest_m = course_separation(course, 400)
+    if closest_m < _LEAST_SEPARATION_M:
+        raise ValueError(
+            "'%s' brings %d vehicles within %.2f m of each other: fly fewer of them, or through other waypoints"
+            % (waypoints, vehicles, closest_m)
+        )
+    return course
+
+
+def find_course(name):
+    """What `make_course` takes: a name in COURSES as it is, for a file of waypoints (.yaml) these. ValueError."""
+    return load_waypoints(name) if str(name).endswith(".yaml") else name
+
+
 def course_settings(name):
-    """Dataclass of the numbers that a course takes. Raises ValueError for an unknown name."""
+    """Dataclass of the numbers that a course takes; through Waypoints: none. Raises ValueError for an unknown name."""
+    if isinstance(name, Waypoints):
+        return make_dataclass("numbers", (), bases=(Settings,), frozen=True)
     if name not in COURSES:
-        raise ValueError("unknown trajectory '%s'; known are: %s" % (name, ", ".join(sorted(COURSES))))
+        known = ", ".join(sorted(COURSES))
+        raise ValueError("unknown trajectory '%s'; known are: %s, and files of waypoints (.yaml)" % (name, known))
     _, *numbers = inspect.signature(COURSES[name]).parameters.values()
     numbers = [(number.name, Positive, number.default) for number in numbers]
     return make_dataclass(name, numbers, bases=(Settings,), frozen=True)
@@ -351,6 +383,49 @@ def _places_for_copies(course, arena, between_m):
     middle = 0.5 * (least + largest)
     flat = sorted(((x, y) for x in along_x for y in along_y), key=lambda place: (math.hypot(*place), place))
     return [(x - middle[0], y - middle[1], pitch[2] * layer) for layer in range(layers) for x, y in flat]
+
+
+def peak_speed_m_s(course):
+    """Largest speed [m/s] that a course asks for."""
+    count = max(400, math.ceil(course.period_s / _SPEED_STEP_S))
+    times = course.period_s * np.arange(count) / count
+    velocities = (path.at(times, Order.VELOCITY)[Order.VELOCITY, :, : Axis.PSI] for path in course.paths)
+    return max(float(np.linalg.norm(velocity, axis=1).max()) for velocity in velocities)
+
+
+def parse_speed(speed):
+    """(number, whether it is a factor) of 1.5 [m/s], or of "2x": twice as fast. Raises ValueError."""
+    text = str(speed).strip()
+    try:
+        number = float(text.removesuffix("x"))
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise ValueError("a speed is a number of m/s > 0, or e.g. 2x for twice as fast, found '%s'" % text)
+    return number, text.endswith("x")
+
+
+def speed_factor(course, speed):
+    """How many times as fast a course is to be flown.
+
+    speed: its largest speed [m/s]; "2x": so many times its own; "": as it is.  Raises ValueError.
+    """
+    if speed == "":
+        return 1.0
+    number, is_factor = parse_speed(speed)
+    if is_factor:
+        return number
+    own_m_s = peak_speed_m_s(course)
+    if not own_m_s > 0.0:
+        raise ValueError("'%s' has no speed in m/s, it stands: write e.g. 2x for twice as fast" % course.name)
+    return number / own_m_s
+
+
+def speed_text(course, factor):
+    """What `speed_factor` takes for a factor, rounded down."""
+    own_m_s = peak_speed_m_s(course)
+    speed = math.floor(100.0 * factor * (own_m_s or 1.0)) / 100.0
+    return "%.2f" % speed if own_m_s else "%.2fx" % speed
 
 
 def peak_yaw_rate_rad_s(course):

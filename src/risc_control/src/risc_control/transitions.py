@@ -38,6 +38,7 @@ _WORTH_M = 0.02  # this much more distance is worth a later arrival
 _TRIES = 3  # changes of options that are tried: for each vehicle,
 _MORE_TRIES = 40  # and for all together
 _FRACTIONS = np.linspace(0.0, 1.0, 32)  # of a way, where its speed is looked at
+_LITTLE_MORE = 1.1  # than its course a way may ask for in any case
 _DURATION_STEP = 1.15  # ratio of the durations that are tried
 
 _COURSE_STARTS = 12  # candidate moments of the course at which the vehicles set out for it
@@ -60,6 +61,9 @@ class WayLimits(Settings):
     shortest_s: Positive = 2.5
     longest_s: Positive = 40.0
     highest_m: Positive = 2.4  # a way that leads over others goes no higher
+    # what they never ask for, however fast the course is
+    speed_most_m_s: Positive = math.inf
+    acceleration_most_m_s2: Positive = math.inf
 
     def __post_init__(self):
         super().__post_init__()
@@ -442,7 +446,8 @@ class _Pair(NamedTuple):
     def fits(self, begin_s, duration_s, limits, rise_m=0.0):
         """Whether a blend keeps speed and acceleration.
 
-        A motion may ask for more than is allowed by itself (a fast course): then its own peaks are the limits.
+        A motion may ask for more than is allowed by itself (a fast course): then its own peaks are the limits, and a
+        little more as far as the vehicles can.
         """
         first, last = (motion.at(begin_s + duration_s * _FRACTIONS, Order.ACCELERATION)[..., :3] for motion in self)
         smooth = int(self.end.links["smooth"][0])
@@ -454,6 +459,8 @@ class _Pair(NamedTuple):
         own = np.sqrt((np.stack([first[1:], last[1:]]) ** 2).sum(axis=-1)).max(axis=(0, 2))
         peaks = np.sqrt((np.stack([velocity, acceleration]) ** 2).sum(axis=-1)).max(axis=1)
         allowed = np.maximum([limits.speed_m_s, limits.acceleration_m_s2], own * (1.2, 1.5))
+        most = np.maximum([limits.speed_most_m_s, limits.acceleration_most_m_s2], own * _LITTLE_MORE)
+        allowed = np.minimum(allowed, most)
         return bool((peaks <= allowed).all())
 
     def turning(self, begin_s, duration_s, limits):

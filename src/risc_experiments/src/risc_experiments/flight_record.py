@@ -1,6 +1,7 @@
 """What a flight was made with, written beside its bag: arguments, versions, parameters. The report reads it."""
 
 import datetime
+import pathlib
 import platform
 
 import msgspec
@@ -8,6 +9,11 @@ import yaml
 
 from data_extraction.report.origin import FLIGHT, PARAMETERS
 from risc_lab.revision import revision
+
+
+def course_name(args):
+    """What the flight's course is called, or its experiment where that flies its own."""
+    return pathlib.Path(args.trajectory).stem if args.trajectory else args.experiment
 
 
 def write_flight(args, fleet, root, folder, started=None):

@@ -22,20 +22,20 @@ from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import own_params
-from risc_control.trajectories import COURSES, course_for_fleet
+from risc_control.feasibility import fleet_course
+from risc_control.trajectories import COURSES, YawProgram, find_course
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.faults_list import fault_option
 from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_progress import flight_detail
-from risc_experiments.flight_record import write_flight, write_parameters
+from risc_experiments.flight_record import course_name, write_flight, write_parameters
 from risc_experiments.headroom import RATES_HZ, READY_S, Headroom, next_rate_hz
 from risc_experiments.operator import OperatorParams, course_s, time_limit_s
-from risc_experiments.option_types import number
+from risc_experiments.option_types import course, number, speed
 from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.report import WITH_CAMERAS, make_report
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import load_calibration
-from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
 from risc_simulator.faults import load_faults
@@ -47,6 +47,7 @@ SILENT_S = 5.0  # an operator who says nothing for so long has died
 HUNG_S = 15.0  # ... whom a fault lets hang is to go on: the ladders have landed all vehicles by then
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 CONTROLLER = "differential_flatness"
+WAYPOINTS = "waypoints.yaml"  # those of the flight, in its folder
 BROWSER_PORT = 8080  # of the web page, unless another program has it
 IN_THE_AIR = range(OperatorPhase.TAKEOFF, OperatorPhase.LAND + 1)
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # ask for the end
@@ -83,7 +84,10 @@ def options():
     help_text = "; ".join("%s: %s" % item for item in EXPERIMENTS.items())
     add("experiment", nargs="?", default="circles3", choices=EXPERIMENTS, help=help_text)
     add("--vehicles", type=number(1), metavar="N", help="how many vehicles (default: 3; df_demo, iris: 1)")
-    add("--trajectory", choices=sorted(COURSES), help="course to fly (default: circles3)")
+    trajectory_help = "course to fly: %s, or a file of waypoints (default: circles3)" % ", ".join(sorted(COURSES))
+    add("--trajectory", type=course, metavar="NAME|FILE.yaml", help=trajectory_help)
+    speed_help = "largest speed on the course [m/s], or e.g. 2x: twice as fast as by its numbers"
+    add("--speed", type=speed, metavar="M_S", help=speed_help)
     add("--controller", metavar="NAME", help="of risc_control.controllers, or your own (default: %s)" % CONTROLLER)
     psi_help = "constant heading, + clockwise (default: the course's own)"
     add("--psi", type=number(-math.inf), metavar="DEG", help=psi_help)
@@ -123,6 +127,8 @@ def complete(args, error):
     if demo and (args.vehicles != 1 or args.trajectory):
         text = "%s is for one vehicle and flies its own figures: leave out --vehicles and --trajectory"
         error(text % args.experiment)
+    if demo and args.speed:
+        error("%s flies its own figures: leave out --speed" % args.experiment)
     if demo and args.controller:
         error("%s is controller and trajectory in one: leave out --controller" % args.experiment)
     args.controller = args.controller or CONTROLLER
@@ -159,7 +165,7 @@ def prepare_folder(args, name=None, holds="flight.bag"):
             raise FlightError("%s holds a flight already: choose another --out" % args.out)
         args.out.mkdir(parents=True, exist_ok=True)
         return args.out.resolve()
-    stem = datetime.datetime.now().strftime("%Y%m%d-%H%M%S_") + (name or args.trajectory or args.experiment)
+    stem = datetime.datetime.now().strftime("%Y%m%d-%H%M%S_") + (name or course_name(args))
     for suffix in ("", *("-%d" % k for k in range(2, 100))):
         folder = ROOT / "flights" / (stem + suffix)
         try:
@@ -173,12 +179,13 @@ def prepare_folder(args, name=None, holds="flight.bag"):
 def prepare_fleet(args, subnet, folder):
     """The fleet of this flight, moved to its own loopback subnet and written beside the results.
 
-    Raises ValueError for a bad file or a course that is not for so many, FlightError when there are more bodies than
-    motion capture shows, or a vehicle is not what the experiment needs (its type, a calibration).
+    Raises ValueError for a bad file, a course that is not for so many or asks for what they cannot do, FlightError when
+    there are more bodies than motion capture shows, or a vehicle is not what the experiment needs (its type, a
+    calibration).
     """
-    trajectory = args.trajectory or "circles3"
+    chosen = find_course(args.trajectory or "circles3")
     if args.fleet is None:
-        fleet = default_fleet(args.vehicles, trajectory, args.experiment)
+        fleet = default_fleet(args.vehicles, chosen, args.experiment)
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
     first = fleet.vehicles[0]
@@ -190,7 +197,10 @@ def prepare_fleet(args, subnet, folder):
         text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
         raise FlightError(text % (*counts, sum(counts), MAX_BODIES))
     # better now than in the air
-    course_for_fleet(trajectory, args.vehicles, fleet.arena, widest_pair_m(fleet.vehicles))
+    if args.experiment not in BUMPER_STEPS:
+        yaw = None if args.psi is None else YawProgram(math.radians(args.psi))
+        late = fleet.with_overrides(command_delay_s=args.delay)  # it needs more room to stop
+        fleet_course(chosen, late.vehicles, fleet.arena, args.speed or "", yaw)
     own_params(args.controller, fleet.vehicles, args.fleet)
     fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:
@@ -203,6 +213,8 @@ def prepare_fleet(args, subnet, folder):
             )
         load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
     (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False), encoding="utf-8")
+    if args.trajectory and args.trajectory not in COURSES:
+        (folder / WAYPOINTS).write_bytes(pathlib.Path(args.trajectory).read_bytes())
     return load_fleet(folder / "fleet.yaml")
 
 
@@ -227,7 +239,10 @@ def launch_arguments(args, fleet, folder):
     if args.experiment in BUMPER_STEPS:
         result["bumper_steps"] = BUMPER_STEPS[args.experiment]
     else:
-        result["trajectory"] = args.trajectory or "circles3"
+        result["trajectory"] = course_name(args) if args.trajectory else "circles3"
+        result["speed"] = args.speed or ""
+        if args.trajectory and args.trajectory not in COURSES:
+            result["waypoints"] = folder / WAYPOINTS
         result["controller"] = args.controller
         result["rate"] = fleet.mocap.rate_hz
     if args.fps is not None:

@@ -25,11 +25,13 @@ from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop, own_params
 from risc_control.failsafe import fence_of
+from risc_control.feasibility import fleet_course, fleet_ways
 from risc_control.plausibility import Plausibility
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
-from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
+from risc_control.trajectories import YawProgram, find_course
 from risc_control.trajectory_manager import Phase, make_manager
+from risc_control.transitions import WayLimits
 from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
@@ -40,9 +42,11 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S, TICK_EVERY, Chain, step_chains
 from risc_experiments.offline_outcome import breaches_of, contacts_of, judge_faults, left_course_s
 from risc_experiments.on_board import OnBoardReadings
+from risc_experiments.option_types import course as course_option
+from risc_experiments.option_types import speed as speed_option
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
-from risc_lab.lab.fleet import wider_m, widest_pair_m
+from risc_lab.lab.fleet import wider_m
 from risc_lab.states import S, States
 from risc_simulator.faults import FaultEvent
 from risc_simulator.injector import Injector
@@ -73,7 +77,7 @@ class Loss(NamedTuple):
 class Flight:
     """What is flown."""
 
-    trajectory: str = "circle"
+    trajectory: str = "circle"  # name of a course, or path of a file of waypoints
     vehicles: int = 3
     seed: int = 1
     duration_s: float = 20.0  # on the course after settling
@@ -89,6 +93,7 @@ class Flight:
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
     overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
+    speed: str | None = None  # of the course, as `speed_factor` takes it; None = by its numbers
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
     faults: tuple[FaultEvent, ...] = ()  # which start when the course is reached, before the settling time
@@ -199,13 +204,14 @@ class RunningFlight:
 
     def _set_up_references_and_control(self, fleet, vehicle_types):
         flight = self._flight
-        yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
-        wide_m = widest_pair_m(fleet.vehicles)
-        course = course_for_fleet(flight.trajectory, len(self._names), fleet.arena, wide_m, **flight.course)
         own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
         self._loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
+        yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
+        chosen, speed = find_course(flight.trajectory), flight.speed or ""
+        course, factor = fleet_course(chosen, fleet.vehicles, fleet.arena, speed, yaw, **flight.course)
         order = self._loop.controller.ORDER
-        self._manager = make_manager(fleet.vehicles, course.with_yaw(yaw), order=order)
+        ways = fleet_ways(WayLimits(), fleet.vehicles, factor)
+        self._manager = make_manager(fleet.vehicles, course, limits=ways, order=order)
         self._buffer = ReferenceBuffer(order)
 
     def _set_up_vehicles(self, fleet, vehicle_types):
@@ -446,7 +452,7 @@ def lab_of(flight):
     if flight.fleet:
         fleet = load_fleet(flight.fleet).with_vehicles(flight.vehicles)
     else:
-        fleet = default_fleet(flight.vehicles, flight.trajectory)
+        fleet = default_fleet(flight.vehicles, find_course(flight.trajectory))
     if flight.psi_deg is not None:
         turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
         fleet = replace(fleet, vehicles=tuple(turned))
@@ -464,7 +470,10 @@ def main(argv=None):
         description="Accuracy of whole flights, offline: position RMSE against truth, on the course after settling.",
     )
     add = parser.add_argument
-    add("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
+    add("--trajectory", nargs="+", type=course_option, default=["circle", "flat8", "slanted8"], metavar="NAME",
+        help="courses by name, or files of waypoints (.yaml; default: circle, flat8, slanted8)")  # fmt: skip
+    add("--speed", type=speed_option, metavar="M_S", help="largest speed on the course [m/s], or e.g. 2x: "
+        "twice as fast as by its numbers (default: by its numbers)")  # fmt: skip
     add("--vehicles", type=int, default=3, metavar="N")
     add("--fleet", default="", metavar="FILE", help="fleet file (default: one of the shipped ones)")
     add("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
@@ -485,7 +494,7 @@ def main(argv=None):
     if args.compile:
         _compile()
         return 0
-    common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts")
+    common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts", "speed")
     common = {name: getattr(args, name) for name in common}
     flights = [
         Flight(course, seed=seed, delay_s=delay_s, psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
@@ -498,12 +507,13 @@ def main(argv=None):
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         for flight, result in zip(flights, outcomes):
-            group = "%-9s %6s" % (flight.trajectory, "type" if flight.delay_s is None else "%.2f" % flight.delay_s)
+            name = pathlib.Path(flight.trajectory).stem
+            group = "%-9s %6s" % (name, "type" if flight.delay_s is None else "%.2f" % flight.delay_s)
             progress.clear()
             if isinstance(result, RuntimeError):
                 print("%s %5d  %s" % (group, flight.seed, result))
             elif flight.faults:
-                rows.append({"course": flight.trajectory, "delay_s": flight.delay_s, "seed": flight.seed,
+                rows.append({"course": name, "delay_s": flight.delay_s, "seed": flight.seed,
                              "faults": [fault._asdict() for fault in result.faults],
                              "breaches": len(result.breaches), "contacts": len(result.contacts)})  # fmt: skip
                 print("%s %5d  %s" % (group, flight.seed, _told(result)), flush=True)
@@ -515,7 +525,7 @@ def main(argv=None):
                 rmse_mm, speed = 1e3 * result.rmse_m, result.flown_s / result.took_s
                 everyone.setdefault(group, []).extend(rmse_mm)
                 closest_m = result.closest_m if math.isfinite(result.closest_m) else None
-                rows.append({"course": flight.trajectory, "delay_s": flight.delay_s, "seed": flight.seed,
+                rows.append({"course": name, "delay_s": flight.delay_s, "seed": flight.seed,
                              "rmse_m": result.rmse_m.tolist(), "closest_m": closest_m,
                              "times_real_time": speed})  # fmt: skip
                 print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (

@@ -2,6 +2,9 @@
 
 import argparse
 import math
+import pathlib
+
+from risc_control.trajectories import COURSES, find_course, parse_speed
 
 
 def number(least, most=math.inf):
@@ -17,3 +20,25 @@ def number(least, most=math.inf):
 
     parse.__name__ = "number"  # for "invalid number value"
     return parse
+
+
+def course(text):
+    """Type of an option: the name of a course, or the path of a file of waypoints, which is absolute afterwards."""
+    if text in COURSES:
+        return text
+    try:
+        if text.endswith(".yaml"):
+            find_course(text)
+            return str(pathlib.Path(text).resolve())
+        raise ValueError("choose from %s, or a file of waypoints (.yaml)" % ", ".join(sorted(COURSES)))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def speed(text):
+    """Type of an option: what `speed_factor` takes."""
+    try:
+        parse_speed(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text

@@ -9,6 +9,7 @@ from data_extraction.progress import bar
 from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
+from risc_experiments.flight_record import course_name
 from risc_experiments.headroom import verdict
 from risc_experiments.judge import Limits, judge, never_began
 from risc_lab.lab import load_fleet
@@ -49,7 +50,7 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
     result["mocap"]["given_up"] = list(tried)
     if reasons is None:
         progress.show("drawing")
-        title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
+        title = "%s, seed %d (simulated)" % (course_name(args), args.seed)
         pictures = plots.draw_all(flight, folder / "plots", title, faults.marks(material.zero_s))
         artefacts["plots"] = [str(picture) for picture in pictures]
         namespaces = {vehicle.template: vehicle.namespace for vehicle in material.origin.fleet.vehicles}

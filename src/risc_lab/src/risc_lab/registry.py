@@ -1,6 +1,7 @@
 """Members of a kind, by name: controllers, vehicle types, estimators, bodies, faults ... See `Registry`."""
 
 import importlib
+import os
 import pkgutil
 from dataclasses import is_dataclass
 
@@ -27,6 +28,7 @@ class Registry:
         self.kind = kind
         self._package = importlib.import_module(package)
         self._own_path = list(self._package.__path__)
+        self._known = {}  # {(name, folders of members): module}
 
     def names(self):
         """Names of all members, sorted. Raises ValueError for a folder that is not there, or a name that is twice."""
@@ -39,6 +41,12 @@ class Registry:
 
     def module(self, name):
         """The member's module, imported. Raises ValueError that names the known ones when there is no such member."""
+        key = name, os.environ.get(VARIABLE)
+        if key not in self._known:
+            self._known[key] = self._imported(name)
+        return self._known[key]
+
+    def _imported(self, name):
         known = self.names()
         if name not in known:
             raise ValueError("unknown name '%s' among the %s; known are: %s" % (name, self.kind, ", ".join(known)))

@@ -89,6 +89,11 @@ class Vehicle:
         self.firmware.set_battery_pct(pct, self._world.time_s)
         self.battery_was_set = True
 
+    def weaken_battery(self, pct):
+        """The same as a fault of the battery that is in it."""
+        self.firmware.weaken_battery(pct, self._world.time_s)
+        self.battery_was_set = True
+
     def change_wind(self, by_m_s):
         """Change the mean velocity of the air around it by this (3,), cortex axes, from now on."""
         self._world._change_wind(self._index, by_m_s)

@@ -6,9 +6,16 @@ from dataclasses import fields
 import numpy as np
 import rospy
 
+from risc_control.feasibility import fleet_ways
 from risc_control.ros.controller_node import ControllerNode
 from risc_control.ros.conversions import TrajectoriesMessage
-from risc_control.ros.trajectory_node import BumperParams, CourseSelector, ManagerWiring, TrajectoryParams
+from risc_control.ros.trajectory_node import (
+    BumperParams,
+    CourseSelector,
+    ManagerWiring,
+    TrajectoryParams,
+    check_courses,
+)
 from risc_control.vehicles import adapter_class
 from risc_lab.lab import load_vehicle_type
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
@@ -26,6 +33,8 @@ class ExperimentNode(ControllerNode):
         kinds = (TrajectoryParams, BumperParams)[: min(len(courses), 2)]
         params, *bumpers = load_params(*kinds, known=None, lenient=True)
         courses = [course.with_yaw(params.yaw) for course in courses]
+        check_courses(courses, fleet_vehicles)
+        params = fleet_ways(params, fleet_vehicles)
         self._wiring = ManagerWiring(fleet_vehicles, courses[0], params, listens=False)
         if bumpers:
             CourseSelector(self._wiring, courses, *bumpers)

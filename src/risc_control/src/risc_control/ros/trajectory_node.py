@@ -12,6 +12,7 @@ import rospy
 from std_msgs.msg import Bool, UInt8
 from std_srvs.srv import Trigger, TriggerResponse
 
+from risc_control.feasibility import check_course, fleet_course, fleet_ways
 from risc_control.reference_buffer import Order
 from risc_control.ros import controller_node
 from risc_control.ros.conversions import StatesReader, TrajectoriesMessage, derivatives_message
@@ -19,13 +20,13 @@ from risc_control.ros.joystick_buttons import ButtonParams, ButtonSubscriber
 from risc_control.trajectories import (
     SAFE_SEPARATION_M,
     YawProgram,
-    course_for_fleet,
     course_separation,
     course_settings,
-    peak_yaw_rate_rad_s,
+    find_course,
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager
 from risc_control.transitions import WayLimits, plan_ways
+from risc_control.waypoints import Waypoints
 from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.ros.clock import SteadyClock
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
@@ -33,7 +34,7 @@ from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_lab.settings import Count, between
+from risc_lab.settings import Count, Settings, between, settings_from
 from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
@@ -64,6 +65,13 @@ class TrajectoryParams(WayLimits):
         return YawProgram(math.radians(self.psi_deg), along_path=self.yaw_along_path)
 
 
+@dataclass(frozen=True)
+class CourseParams(Settings):
+    """Of nodes whose course is chosen by a parameter."""
+
+    course_speed: float | str = ""  # its largest [m/s], or e.g. 2x for twice as fast as by its numbers; "": by these
+
+
 class ManagerWiring:
     """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples.
 
@@ -71,8 +79,8 @@ class ManagerWiring:
     """
 
     def __init__(self, fleet_vehicles, course, params, kind=TrajectoryManager, listens=True):
-        """params: TrajectoryParams.  kind: TrajectoryManager or a subclass.  listens: to the states; a node that does
-        it itself calls `look`.
+        """course: one that the vehicles can fly.  params: TrajectoryParams.  kind: TrajectoryManager or a subclass.
+        listens: to the states; a node that does it itself calls `look`.
         """
         self.vehicles, self.params = fleet_vehicles, params
         self.clock = SteadyClock()  # that of the courses: a clock that is set moves no reference
@@ -125,7 +133,7 @@ class ManagerWiring:
 
     def set_course(self, course):
         """Fly another course from now on, smoothly."""
-        check_course(course, self.vehicles)
+        warn_of_near_vehicles(course, self.vehicles)
         with self.lock:
             self.manager.set_course(course, self.clock.now_s())
             self.announce(course)
@@ -235,15 +243,27 @@ class TrajectoryNode(ReferenceNode):
         """default_course: name in COURSES, unless ~course says another.  kinds: dataclasses of further parameters,
         which are in `more`.  default_options: as make_course takes them.
         """
-        name, fleet_vehicles = rospy.get_param("~course", default_course), vehicles()
+        name, fleet_vehicles = chosen_course(default_course), vehicles()
         numbers = course_settings(name)(**default_options if name == default_course else {})
-        params, numbers, *self.more = load_params(
-            TrajectoryParams, numbers, *kinds, known=("course", *VEHICLE_KEYS), lenient=True
+        params, speed, numbers, *self.more = load_params(
+            TrajectoryParams, CourseParams, numbers, *kinds, known=("course", "waypoints", *VEHICLE_KEYS), lenient=True
         )
-        room = len(fleet_vehicles), known_arena(), widest_pair_m(fleet_vehicles)
-        course = course_for_fleet(name, *room, **vars(numbers)).with_yaw(params.yaw)
-        check_course(course, fleet_vehicles)
-        super().__init__(ManagerWiring(fleet_vehicles, course, params))
+        course, factor = fleet_course(
+            name, fleet_vehicles, known_arena(), speed.course_speed, params.yaw, **vars(numbers)
+        )
+        warn_of_near_vehicles(course, fleet_vehicles)
+        super().__init__(ManagerWiring(fleet_vehicles, course, fleet_ways(params, fleet_vehicles, factor)))
+
+
+def chosen_course(default):
+    """What `make_course` takes, of the parameters ~waypoints (the content of a file) or ~course (a name, or a file).
+
+    Raises ValueError.
+    """
+    content = rospy.get_param("~waypoints", {})
+    if content:
+        return settings_from(Waypoints, content, "parameter %s" % rospy.resolve_name("~waypoints"))
+    return find_course(rospy.get_param("~course", default))
 
 
 def main(name, course, **options):
@@ -268,7 +288,11 @@ class CourseSelector:
     """Steps a ManagerWiring through courses, round and round, by two joystick buttons."""
 
     def __init__(self, wiring, courses, params):
-        """courses: list of Course; the first is flown at the start.  params: BumperParams."""
+        """courses: list of Course; the first is flown at the start.  params: BumperParams.
+
+        Raises ValueError when the vehicles cannot fly one of them.
+        """
+        check_courses(courses, wiring.vehicles)
         self._wiring, self._courses, self._index = wiring, courses, 0
         self._steps = {params.next_button: 1, params.previous_button: -1}
         ButtonSubscriber(params, self._on_press)
@@ -281,13 +305,14 @@ class CourseSelector:
             self._wiring.set_course(self._courses[self._index])
 
 
-def check_course(course, fleet_vehicles):
-    """Warn of a course that the vehicles cannot fly as it is."""
+def check_courses(courses, fleet_vehicles):
+    """Raises ValueError when vehicles cannot fly one of the courses."""
+    for course in courses:
+        check_course(course, fleet_vehicles, known_arena())
+
+
+def warn_of_near_vehicles(course, fleet_vehicles):
+    """Log that a course brings vehicles near each other."""
     closest_m = course_separation(course, 400)
     if closest_m < SAFE_SEPARATION_M + widest_pair_m(fleet_vehicles):
         rospy.logwarn("on '%s' %d vehicles come within %.2f m of each other", course.name, len(course), closest_m)
-    limit_rad_s = min(vehicle.vehicle_type.yaw_rate_max_rad_s for vehicle in fleet_vehicles)
-    rate_rad_s = peak_yaw_rate_rad_s(course)
-    if rate_rad_s > limit_rad_s:
-        text = "'%s' turns the nose at %.2f rad/s, the vehicles at most at %.2f: they will lag in yaw"
-        rospy.logwarn(text, course.name, rate_rad_s, limit_rad_s)

@@ -289,7 +289,7 @@ class ControlsConverter:
         known: (n,) bool; where it is False the answer is level with the thrust of hover (zero acceleration, thesis
         7.7).  Raises ValueError when a number of a vehicle that is known is not finite.
         """
-        roll, pitch, yaw_rate, thrust = (floats(part) for part in command)
+        roll, pitch, yaw_rate, thrust = map(floats, command)
         controls, cut = np.empty((4, len(known))), np.array(saturated)
         if not _convert(roll, pitch, yaw_rate, thrust, known, self._conversions, controls, cut):
             # raised here: an exception out of compiled code leaves its arrays in memory for ever

@@ -231,7 +231,8 @@ def draw(scorecard):
     bad.set_title("per minute; line: bounds of breaches")
     for axes in (error, delay):
         low, high = axes.dataLim.intervalx
-        axes.set_xlim(*((low / 1.3, high * 1.3) if 0.0 < low <= high < math.inf else (10.0, 1000.0)))
+        margin = 1.3 if high > 5.0 * low else 2.0  # a narrow axis would have a single number
+        axes.set_xlim(*((low / margin, high * margin) if 0.0 < low <= high < math.inf else (10.0, 1000.0)))
         axes.xaxis.set_major_locator(LogLocator(subs=_ticks_of(*axes.get_xlim())))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())

@@ -62,6 +62,9 @@ class VehicleType(Settings):
     command_rate_hz: between(1.0, 1000.0)  # how often the vehicle takes a command
     drag_n_s_m: NotNegative  # linear drag: force = -drag * airspeed
     battery_life_s: Positive  # full to empty in flight
+    # what courses may ask for: that part of the full scales (the rest is the controller's), and so much speed
+    course_share: between(0.1, 1.0) = 0.8
+    speed_max_m_s: Positive = 3.0
     report_delay_s: between(0.0, 2.0) = 0.0  # from what it measures to who hears it of its driver
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device

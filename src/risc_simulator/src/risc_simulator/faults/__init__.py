@@ -149,7 +149,7 @@ class FaultEvent(Settings):
     @property
     def module(self):
         """That of its member."""
-        return _module(self.fault, os.environ.get(VARIABLE))
+        return REGISTRY.module(self.fault)
 
     @property
     def args(self):
@@ -166,11 +166,6 @@ class FaultEvent(Settings):
 
     def __str__(self):
         return "%s@%g" % (":".join(filter(None, (self.fault, self.args))), self.start_s)
-
-
-@functools.cache
-def _module(name, _folders):
-    return REGISTRY.module(name)
 
 
 def fault_settings(name):

@@ -6,7 +6,7 @@ class Low:
         self._pct = pct
 
     def begin(self, vehicle, time_s):
-        vehicle.set_battery_pct(min(self._pct, vehicle.battery_pct))
+        vehicle.weaken_battery(min(self._pct, vehicle.battery_pct))
 
 
 def make(severity, rng):

@@ -124,7 +124,11 @@ class Firmware:
         return 100.0
 
     def set_battery_pct(self, pct, time_s):
-        """Put in another battery, or (a fault to be injected) a tired one."""
+        """Put in another battery."""
+
+    def weaken_battery(self, pct, time_s):
+        """A fault: the charge is this from now on."""
+        self.set_battery_pct(pct, time_s)
 
     def power_cycle(self, time_s):
         """It stands: it gets a full battery, and begins anew as one that has just been switched on."""

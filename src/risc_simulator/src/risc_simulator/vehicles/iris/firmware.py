@@ -38,6 +38,7 @@ STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop
 HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
 LOW_BATTERY_PCT = 15.0  # says so, and does not arm
 CRITICAL_BATTERY_PCT = 8.0  # lands by itself
+SAG_PCT_S = 10.0  # so fast can the rotors lose what a lower charge takes from them
 _SILENT_US = (0,) * CHANNELS
 
 
@@ -121,6 +122,7 @@ class IrisFirmware(Firmware):
         self.radio_failsafe = True  # until something is heard
         self.wake_s = self._time_s = time_s
         self._battery_said = None
+        self._felt_pct, self._felt_s = None, time_s
         self._received_us, self._received_s = (), -math.inf
         self._by_hand = False  # the trainer switch is off: what the board sends is not received
         self._overrides = {}  # channel -> (us, since when)
@@ -188,6 +190,13 @@ class IrisFirmware(Firmware):
 
     def set_battery_pct(self, pct, time_s):
         self._battery.set_pct(pct, time_s)
+        self._felt_pct = None
+
+    def weaken_battery(self, pct, time_s):
+        """What the rotors lose by it they lose by SAG_PCT_S: a battery gives way, it does not become another one."""
+        felt_pct = self._felt_pct
+        self.set_battery_pct(pct, time_s)
+        self._felt_pct = felt_pct
 
     @property
     def _channels(self):
@@ -448,7 +457,7 @@ class IrisFirmware(Firmware):
         throttle = min(1.0, max(-1.0, (channels[THROTTLE] - self._middle_us) / self._half_us))
         if self.mode is Mode.STABILIZE:
             idles = channels[THROTTLE] <= self._idle_us
-            hover = self._nominal_hover(self.battery_pct(self._time_s))
+            hover = self._nominal_hover(self._felt_charge_pct())
             up = 0.0 if idles else self._nominal_n * (1.0 + throttle - hover)
         elif self.mode is Mode.LAND:
             up = -self._landing_m_s
@@ -460,6 +469,16 @@ class IrisFirmware(Firmware):
         if self.armed and not self.lifted and self._lifts():
             self.lifted = True
             self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass
+
+    def _felt_charge_pct(self):
+        """The charge by which its rotors pull; see `weaken_battery`."""
+        pct, before_s = self.battery_pct(self._time_s), self._felt_s
+        self._felt_s = self._time_s
+        if self._felt_pct is not None:
+            most = SAG_PCT_S * (self._felt_s - before_s)
+            pct = min(max(pct, self._felt_pct - most), self._felt_pct + most)
+        self._felt_pct = pct
+        return pct
 
     def _choose_height(self, climb_m_s, vertical_motion):
         if climb_m_s != 0.0 or not self.lifted:
