@@ -12,6 +12,7 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from roslib.message import get_message_class
+from std_msgs.msg import Header
 
 from risc_estimation import sensors
 from risc_estimation.filters import COMMAND, DEFAULT, REGISTRY
@@ -32,6 +33,8 @@ from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, MarkerCount, StateCovariances
 
+_GAP_PERIODS = 1.5  # of frames; after so long without one it is missing
+
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -51,10 +54,14 @@ class StatesEstimationNode:
             fit_params,
             params.vehicles or [vehicle.template for vehicle in vehicles],
             kind(settings),
+            {vehicle.template: vehicle.vehicle_type for vehicle in vehicles},
         )
+        self._period_s = 1.0 / rate_hz
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
         self._last_receipt_s = None  # of the newest frame that was estimated; monotonic clock
+        self._last_said_s = -math.inf  # when states were published that somebody is visible in; the same
+        self._delay_s = 0.0  # from exposure to estimate, of the newest frame
         self._last_estimate = None
         self._last_seq = None  # of the newest frame; publishers count them
         self._passed_over = 0  # frames
@@ -71,6 +78,8 @@ class StatesEstimationNode:
         ticking_updater("mocap").add("states estimation", self._diagnose)
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
+        if kind.COASTS:
+            Ticker(self._period_s, self._on_gap, "states between frames")
         self._listen_on_board(self._estimator.on_board_wanted, vehicles)
         rospy.Subscriber(
             "mocap_data",
@@ -116,9 +125,10 @@ class StatesEstimationNode:
             estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m)
             if estimate is None:
                 return  # frames that are refused are silence, too
-            self._last_receipt_s = time.monotonic()
+            self._last_receipt_s = self._last_said_s = time.monotonic()
             self._silent = False
             self._last_estimate = estimate
+            self._delay_s = max(0.0, rospy.get_time() - estimate.stamp_s)
             self._states_pub.publish(self._messages.states(header, estimate))
             self._landmarks_pub.publish(self._messages.landmarks(header, estimate))
             if self._poses_pub.get_num_connections():
@@ -129,10 +139,23 @@ class StatesEstimationNode:
                     self._covariances_pub.publish(covariances_to_msg(header, estimate.names, covariances))
 
     @until_shutdown
+    def _on_gap(self):
+        """A frame is missing: states that the filter predicts, as old as those of the frames before it were."""
+        with self._lock:
+            receipt_s = self._last_receipt_s
+            if receipt_s is None or time.monotonic() - receipt_s < _GAP_PERIODS * self._period_s:
+                return
+            estimate = self._estimator.coast(rospy.get_time() - self._delay_s)
+            if estimate is not None:
+                self._last_estimate, self._silent, self._last_said_s = estimate, False, time.monotonic()
+                header = Header(stamp=rospy.Time.from_sec(estimate.stamp_s), frame_id=self._frame.header.frame_id)
+                self._states_pub.publish(self._messages.states(header, estimate))
+
+    @until_shutdown
     def _on_check(self):
         """Once per silence: tell everybody that the last numbers are just that. The stamp stays what it was."""
         with self._lock:
-            if self._silent or time.monotonic() - self._last_receipt_s < self._silence_s:
+            if self._silent or time.monotonic() - self._last_said_s < self._silence_s:
                 return
             self._silent = True
             self._last_estimate = lost = self._estimator.lost()

@@ -20,13 +20,12 @@ from risc_lab.states import S
 
 TEMPLATES = load_templates()
 TYPES = {"fluffy_II": load_vehicle_type("ardrone"), "IRIS": load_vehicle_type("iris")}
-EKF = "ekfx"
 DT_S, NOISE_M = 0.005, 0.002
 COMMANDS_S = 0.03  # between two
 
 
 def model(name="fluffy_II", **given):
-    return model_of(make_filter(EKF, given).params, TEMPLATES[name], TYPES.get(name))
+    return model_of(make_filter("ekf", given).params, TEMPLATES[name], TYPES.get(name))
 
 
 def some_state(rng):
@@ -69,8 +68,13 @@ def test_it_predicts_and_corrects_as_filterpy_does():
     jacobian(mid, its, command, False, F)
     other.F = np.eye(DIM) + DT_S * F + 0.5 * DT_S**2 * F @ F
     other.Q = np.zeros((DIM, DIM))
-    noises = (its["acceleration"],) * 2 + (its["climb_acceleration"], its["roll_noise"], its["pitch_noise"], its["yaw_noise"])
-    for i, (value, density) in enumerate(zip((0, 1, 2, 6, 7, 8), noises)):
+    noises = (its["acceleration"],) * 2 + (
+        its["climb_acceleration"],
+        its["roll_noise"],
+        its["pitch_noise"],
+        its["yaw_noise"],
+    )
+    for value, density in zip((0, 1, 2, 6, 7, 8), noises):
         block = [[DT_S**3 / 3.0, DT_S**2 / 2.0], [DT_S**2 / 2.0, DT_S]]
         other.Q[np.ix_([value, value + 3], [value, value + 3])] = density**2 * np.array(block)
     other.Q[range(12, 15), range(12, 15)] = its["disturbance"] ** 2 * DT_S
@@ -97,7 +101,7 @@ class Flown:
         self.name, self.rng, self.model = name, np.random.default_rng(seed), model(name, **given)
         kinds = {name: TYPES[name]} if name in TYPES else {}
         self.estimator = StatesEstimator(
-            TEMPLATES, PoseFitParams(frozen_frames=0), [name], make_filter(EKF, given), kinds
+            TEMPLATES, PoseFitParams(frozen_frames=0), [name], make_filter("ekf", given), kinds
         )
         self.x, self.time_s, self.noise_m = np.zeros(DIM), 0.0, noise_m
         self.x[S.Z] = 1.5
@@ -170,7 +174,7 @@ def test_what_cannot_be_true_is_refused_at_once():
         flown = Flown(3, gate_probability=gate)
         flown.fly(1.5)
         errors = []
-        for k in range(40):
+        for _ in range(40):
             estimate = flown.estimator.update(*beside(flown.step(), [0.5, 0.0, 0.0]))
             errors.append(flown.error_m(estimate))
             if gate:
@@ -213,7 +217,7 @@ def test_what_agrees_for_long_is_believed_and_the_truth_at_once():
     flown = Flown(6)
     flown.fly(1.5)
     believed = []
-    for k in range(100):
+    for _ in range(100):
         estimate = flown.estimator.update(*beside(flown.step(), [0.0, 0.5, 0.0]))
         believed.append(estimate.visible[0] and flown.error_m(estimate) > 0.4)
     assert DT_S * believed.index(True) == pytest.approx(0.3, abs=0.02)
@@ -226,7 +230,7 @@ def test_late_poses_are_taken_at_their_own_time():
     ends = []
     for late in (False, True):
         flown = Flown(7)
-        flown.fly(1.0)
+        estimate = flown.fly(1.0)
         frames = [flown.step() for _ in range(40)]
         if late:
             frames = [frames[k] for k in (*range(10), 30, *range(10, 30), *range(31, 40))]
@@ -256,7 +260,7 @@ def test_who_is_of_no_type_is_followed_all_the_same():
     for name in "Pendulum_tip", "Raven":
         flown = Flown(9)
         flown.name = name
-        flown.estimator = StatesEstimator(TEMPLATES, PoseFitParams(frozen_frames=0), [name], make_filter(EKF))
+        flown.estimator = StatesEstimator(TEMPLATES, PoseFitParams(frozen_frames=0), [name], make_filter("ekf"))
         estimate = flown.fly(1.0)
         assert estimate.visible[0] and flown.error_m(estimate) < 0.006
         assert np.linalg.norm(estimate.states[0, 3:6] - flown.x[3:6]) < 0.2

@@ -16,7 +16,7 @@ from risc_lab.lab.templates import load_templates
 from risc_lab.registry import VARIABLE
 from risc_lab.states import S
 
-NAMES = ["alpha_beta", "least_squares", "thesis"]
+NAMES = ["alpha_beta", "ekf", "least_squares", "thesis"]
 TEMPLATES = load_templates()
 DT_S = 0.005
 
@@ -45,7 +45,7 @@ def test_the_registry_holds_them_all_and_each_has_its_settings():
     assert REGISTRY.names() == NAMES
     for name in NAMES:
         assert set(REGISTRY.settings(name)) == {item.name for item in fields(REGISTRY.module(name).Filter.PARAMS)}
-    with pytest.raises(ValueError, match="'kalmann' among the filters; known are: alpha_beta, least_squares, thesis"):
+    with pytest.raises(ValueError, match="'kalmann' among the filters; known are: %s" % ", ".join(NAMES)):
         make_filter("kalmann")
 
 

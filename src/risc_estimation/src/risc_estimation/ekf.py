@@ -3,8 +3,8 @@
 States (`DIM`): the twelve of `risc_lab.states.S`, then an acceleration along cortex x, y and z that nobody commands:
 thrust, trim, drag and wind that the nominal model does not know.
 
-Model, with the command (roll c1, pitch c2 [rad], climb loop c3, yaw rate c4 [rad/s], what the vehicle settles at) that is
-in force:
+Model, with the command that is in force (what the vehicle settles at: roll c1, pitch c2 [rad], climb loop c3, yaw rate
+c4 [rad/s]):
 
     up''    = gain c3 - damping up' + d3                            climb loop of the type
     phi''   = wn^2 (c1 - phi) - 2 zeta wn phi',  theta alike        attitude loops

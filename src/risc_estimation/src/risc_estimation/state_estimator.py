@@ -131,7 +131,7 @@ class StatesEstimator:
         return self._estimate(self._filter.visible.copy(), landmark_names, landmarks_m)
 
     def coast(self, stamp_s):
-        """FrameEstimate of a time [s] for which no frame has come; None if the filter goes on without nobody."""
+        """FrameEstimate of a time [s] for which no frame has come; None if nobody is visible then."""
         if not stamp_s > self._stamps.newest_s > -math.inf or not self._filter.coast(stamp_s):
             return None
         return self._estimate(self._filter.visible.copy())._replace(stamp_s=stamp_s)

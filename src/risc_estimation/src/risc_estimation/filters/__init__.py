@@ -36,6 +36,7 @@ class VelocityFilter:
 
     PARAMS = None  # dataclass of settings (`risc_lab.settings`), a field for each key of the YAML file
     late_s = 0.0  # [s] poses may be older by so much than the newest that it has been given; 0 = only newer ones come
+    COASTS = False  # it goes on without frames, see `coast`
     ON_BOARD = ()  # what `on_board` is to be given: COMMAND, quantities of `risc_estimation.sensors`; () costs nothing
 
     def __init__(self, params):
@@ -63,7 +64,7 @@ class VelocityFilter:
         raise NotImplementedError
 
     def coast(self, stamp_s):
-        """Bring states and visible to a time for which no frame has come. Whether it can; the default cannot."""
+        """Bring states and visible to a time for which no frame has come. Whether anybody is visible then."""
         return False
 
     def on_board(self, row, stamp_s, what, values):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from risc_estimation.ekf import DIM, MODEL, TRACK, WORK, correct, innovate, predict
+from risc_estimation.ekf import MODEL, TRACK, WORK, correct, innovate, predict
 from risc_estimation.filters import COMMAND, Status, VelocityFilter
 from risc_lab.command_history import CommandHistory, append_command
 from risc_lab.compiled import compiled, record, with_row
@@ -68,6 +68,7 @@ class Filter(VelocityFilter):
     """See the module. Rows of arrays are bodies."""
 
     PARAMS = Params
+    COASTS = True
     ON_BOARD = (COMMAND, "velocity", "attitude")
 
     def __init__(self, params):
@@ -82,8 +83,12 @@ class Filter(VelocityFilter):
         self._slots, self._others = np.zeros((0, _SLOTS), SLOT), np.zeros((0, 2), OTHER)
         self._sent = CommandHistory(0).vehicles
         self._last = []  # {kind: reading} of each body: one that repeats is none
-        self._stamp_s = -math.inf
         self._collect()
+        # without and with a body: loads the compiled code
+        self.coast(0.0)
+        tables = (np.zeros(1, MODEL), np.zeros(1, BODY), np.zeros((1, _SLOTS), SLOT), np.zeros((1, 2), OTHER))
+        tables += CommandHistory(1).vehicles, self._work, self._counts
+        _on_board(0.0, 0, _VELOCITY, np.zeros(2), 1.0, self._settings, *tables)
 
     def add_body(self, template, vehicle_type=None):
         super().add_body(template)
@@ -106,14 +111,16 @@ class Filter(VelocityFilter):
         self._others["lives"] = False
         for row in range(len(self._sent)):
             self._sent[row : row + 1] = CommandHistory(1).vehicles
-        self._stamp_s = -math.inf
 
     def update(self, poses):
-        _update(poses.stamp_s, poses.flags, poses.measured, poses.covariances(), self.visible, self.states, *self._arguments)
+        _update(
+            poses.stamp_s, poses.flags, poses.measured, poses.covariances(), self.visible, self.states, *self._arguments
+        )
 
     def coast(self, stamp_s):
         n = len(self.visible)
-        _update(stamp_s, np.zeros((2, n), dtype=bool), np.zeros((2, n, 3)), np.zeros((n, 6, 6)), self.visible, self.states, *self._arguments)
+        nothing = np.zeros((2, n), dtype=bool), np.zeros((2, n, 3)), np.zeros((n, 6, 6))
+        _update(stamp_s, *nothing, self.visible, self.states, *self._arguments)
         return bool(self.visible.any())
 
     def on_board(self, row, stamp_s, what, values):
@@ -124,16 +131,18 @@ class Filter(VelocityFilter):
         if reading == self._last[row].get(what) or not self._models["follows"][row]:
             return  # it stands still: nobody has measured that
         self._last[row][what] = reading
-        kind, noise = (_VELOCITY, self.params.velocity_noise_m_s) if what == "velocity" else (_ATTITUDE, self.params.attitude_noise_rad)
-        _on_board(stamp_s, row, kind, np.ascontiguousarray(values[:2], dtype=float), noise * noise, *self._arguments)
+        kind, noise = {
+            "velocity": (_VELOCITY, self.params.velocity_noise_m_s),
+            "attitude": (_ATTITUDE, self.params.attitude_noise_rad),
+        }[what]
+        _on_board(stamp_s, row, kind, np.array(reading[:2]), noise * noise, *self._arguments)
 
     def status(self, poses):
         return [Status(status) for status in self._bodies["status"].tolist()]
 
     def covariances(self):
-        return np.array([
-            slots["track"]["P"][body["newest"] % _SLOTS, : len(S), : len(S)] for slots, body in zip(self._slots, self._bodies)
-        ]).reshape(-1, len(S), len(S))
+        newest = zip(self._slots["track"]["P"], (self._bodies["newest"] % _SLOTS).tolist())
+        return np.array([P[k, : len(S), : len(S)] for P, k in newest]).reshape(-1, len(S), len(S))
 
 
 def model_of(params, template, vehicle_type):
@@ -148,7 +157,9 @@ def model_of(params, template, vehicle_type):
     for name, loop in ("roll", vehicle_type.roll), ("pitch", vehicle_type.pitch):
         wn = loop.natural_frequency_rad_s
         model[name + "_1_s2"], model[name + "_1_s"] = wn * wn, 2.0 * loop.damping_ratio * wn
-    model["roll_noise"], model["pitch_noise"] = (params.tilt_command * model[name] for name in ("roll_1_s2", "pitch_1_s2"))
+    model["roll_noise"], model["pitch_noise"] = (
+        params.tilt_command * model[name] for name in ("roll_1_s2", "pitch_1_s2")
+    )
     model["yaw_noise"] = params.yaw_rate_command / vehicle_type.yaw_rate_time_constant_s
     model["yaw_1_s"] = 1.0 / vehicle_type.yaw_rate_time_constant_s
     model["drag_1_s"] = vehicle_type.drag_n_s_m / vehicle_type.mass_kg
@@ -224,7 +235,20 @@ def _on_board(stamp_s, row, kind, values, variance, settings, models, bodies, sl
     """What a body measures itself."""
     z, R = np.zeros(6), np.zeros((6, 6))
     z[0], z[1], R[0, 0], R[1, 1] = values[0], values[1], variance, variance
-    _take(stamp_s, kind, z, R, settings[0], models[row], bodies[row], slots[row], others[row], sent[row], work[0], counts[0])
+    _take(
+        stamp_s,
+        kind,
+        z,
+        R,
+        settings[0],
+        models[row],
+        bodies[row],
+        slots[row],
+        others[row],
+        sent[row],
+        work[0],
+        counts[0],
+    )
 
 
 @compiled

@@ -22,7 +22,7 @@ class Filter(VelocityFilter):
         self._alpha, self._beta = 1.0 - params.memory**2, (1.0 - params.memory) ** 2
         self.reset()
 
-    def add_body(self, template):
+    def add_body(self, template, vehicle_type=None):
         super().add_body(template)
         self.reset()
 
