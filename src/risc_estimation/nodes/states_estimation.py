@@ -122,12 +122,14 @@ class StatesEstimationNode:
             if self._last_seq is not None:
                 self._passed_over += max(header.seq - self._last_seq - 1, 0)
             self._last_seq = header.seq
+            taken = self._estimator.frames
             estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m)
-            if estimate is None:
+            if self._estimator.frames == taken:
                 return  # frames that are refused are silence, too
-            self._last_receipt_s = self._last_said_s = time.monotonic()
-            self._silent = False
-            self._last_estimate = estimate
+            self._last_receipt_s = time.monotonic()
+            if estimate is None:
+                return  # states of later were given already
+            self._last_estimate, self._silent, self._last_said_s = estimate, False, self._last_receipt_s
             self._delay_s = max(0.0, rospy.get_time() - estimate.stamp_s)
             self._states_pub.publish(self._messages.states(header, estimate))
             self._landmarks_pub.publish(self._messages.landmarks(header, estimate))
@@ -142,10 +144,10 @@ class StatesEstimationNode:
     def _on_gap(self):
         """A frame is missing: states that the filter predicts, as old as those of the frames before it were."""
         with self._lock:
-            receipt_s = self._last_receipt_s
-            if receipt_s is None or time.monotonic() - receipt_s < _GAP_PERIODS * self._period_s:
+            stamp_s, last = rospy.get_time() - self._delay_s, self._last_estimate
+            if last is None or stamp_s - last.stamp_s < _GAP_PERIODS * self._period_s:
                 return
-            estimate = self._estimator.coast(rospy.get_time() - self._delay_s)
+            estimate = self._estimator.coast(stamp_s)
             if estimate is not None:
                 self._last_estimate, self._silent, self._last_said_s = estimate, False, time.monotonic()
                 header = Header(stamp=rospy.Time.from_sec(estimate.stamp_s), frame_id=self._frame.header.frame_id)

@@ -264,3 +264,22 @@ def test_who_is_of_no_type_is_followed_all_the_same():
         estimate = flown.fly(1.0)
         assert estimate.visible[0] and flown.error_m(estimate) < 0.006
         assert np.linalg.norm(estimate.states[0, 3:6] - flown.x[3:6]) < 0.2
+
+
+def test_states_go_on_while_frames_are_late():
+    """For half a second frames come 0.1 s late: meanwhile states of now are predicted, each later than the one before."""
+    flown = Flown(10)
+    last = flown.fly(1.5)
+    on_their_way = []
+    for k in range(100):
+        on_their_way.append(flown.step())
+        given = [flown.estimator.coast(flown.time_s)]
+        if k >= 20:
+            given.append(flown.estimator.update(*on_their_way.pop(0)))
+        (estimate,) = filter(None, given)
+        assert estimate.stamp_s == flown.time_s > last.stamp_s
+        assert estimate.visible[0] and flown.error_m(estimate) < 0.01
+        last = estimate
+    for frame in on_their_way[:-1]:
+        assert flown.estimator.update(*frame) is None
+    assert flown.fly(DT_S).visible[0] and flown.estimator.counts.backward_stamps == 0

@@ -66,6 +66,7 @@ class StatesEstimator:
         self._fit = PoseFit(templates, params, lambda t: self._filter.add_body(t, types.get(t.name)))
         self._counts = EstimatorCounts(unknown=self._fit.unknown)
         self._stamps = ClockGuard()
+        self._coasted_s = -math.inf  # up to here states were predicted without frames
         self._late = deque(maxlen=_LATE)  # frames that are late, or of a clock that was set: the next one tells
         for name in vehicles:
             if name not in self._fit.body_names():
@@ -84,6 +85,11 @@ class StatesEstimator:
     def counts(self):
         """EstimatorCounts up to now."""
         return replace(self._counts, **self._fit.refusals)
+
+    @property
+    def frames(self):
+        """How many were taken, up to now."""
+        return self._counts.frames
 
     @property
     def poses(self):
@@ -106,7 +112,8 @@ class StatesEstimator:
     def update(self, stamp_s, layout, markers_m):
         """Estimate one frame. layout and markers_m: see `PoseFit.update`.
 
-        stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted). A frame
+        stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted), or is not
+        later than states that `coast` has given. A frame
         that is not older than the filter's late_s reaches the filter all the same, with the next one that advances: by
         then it is known that the clock was not set. Raises ValueError when layout and markers_m do not match.
         """
@@ -124,16 +131,21 @@ class StatesEstimator:
             self._counts.clock_resets += 1
             self._late.clear()
             self._filter.reset()
+            self._coasted_s = -math.inf
         while self._late:
             self._counts.late_frames += 1
             self._take(*self._late.popleft())
         landmark_names, landmarks_m = self._take(stamp_s, layout, markers_m)
+        if stamp_s <= self._coasted_s:
+            return None
         return self._estimate(self._filter.visible.copy(), landmark_names, landmarks_m)
 
     def coast(self, stamp_s):
         """FrameEstimate of a time [s] for which no frame has come; None if nobody is visible then."""
-        if not stamp_s > self._stamps.newest_s > -math.inf or not self._filter.coast(stamp_s):
+        newest_s = max(self._stamps.newest_s, self._coasted_s)
+        if not stamp_s > newest_s > -math.inf or not self._filter.coast(stamp_s):
             return None
+        self._coasted_s = stamp_s
         return self._estimate(self._filter.visible.copy())._replace(stamp_s=stamp_s)
 
     def _take(self, stamp_s, layout, markers_m):
