@@ -267,7 +267,7 @@ def test_who_is_of_no_type_is_followed_all_the_same():
 
 
 def test_states_go_on_while_frames_are_late():
-    """For half a second frames come 0.1 s late: meanwhile states of now are predicted, each later than the one before."""
+    """For half a second frames come 0.1 s late: meanwhile states of now are predicted, none of them twice."""
     flown = Flown(10)
     last = flown.fly(1.5)
     on_their_way = []
