@@ -59,7 +59,9 @@ def make_fleet(count, kind="ardrone"):
 def make_world(count, kind="ardrone", seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
     fleet = make_fleet(count, kind)
-    world = World(fleet, {kind: load_vehicle_type(kind)}, load_templates(fleet=fleet), seed=seed)
+    # nobody corrects what they do: IRIS+ that are not level would fly into each other
+    how = {"seed": seed, "perturbed": kind != "iris"}
+    world = World(fleet, {kind: load_vehicle_type(kind)}, load_templates(fleet=fleet), **how)
     return world, [vehicle.start.position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
