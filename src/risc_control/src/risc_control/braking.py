@@ -248,21 +248,7 @@ def _corrected(motion, forward_m_s, right_m_s):
     east_m_s = sine * forward_m_s + cosine * right_m_s - motion.east_m_s
     if not math.hypot(north_m_s, east_m_s) < _BELIEVED_M_S:
         return motion
-    return Motion(
-        motion.north_m,
-        motion.east_m,
-        motion.up_m,
-        motion.north_m_s + _CORRECTS * north_m_s,
-        motion.east_m_s + _CORRECTS * east_m_s,
-        motion.up_m_s,
-        motion.phi_rad,
-        motion.theta_rad,
-        motion.psi_rad,
-        motion.phi_rate_rad_s,
-        motion.theta_rate_rad_s,
-        motion.psi_rate_rad_s,
-        motion.up_m_s2,
-    )
+    return _changed(motion, 0.0, 0.0, _CORRECTS * north_m_s, _CORRECTS * east_m_s)
 
 
 @compiled
@@ -271,9 +257,15 @@ def _pushed(motion, forward_m_s2, right_m_s2, lasts_s):
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     north_m_s = lasts_s * (cosine * forward_m_s2 - sine * right_m_s2)
     east_m_s = lasts_s * (sine * forward_m_s2 + cosine * right_m_s2)
+    return _changed(motion, 0.5 * lasts_s * north_m_s, 0.5 * lasts_s * east_m_s, north_m_s, east_m_s)
+
+
+@compiled
+def _changed(motion, north_m, east_m, north_m_s, east_m_s):
+    """Motion with these added to its place and velocity."""
     return Motion(
-        motion.north_m + 0.5 * lasts_s * north_m_s,
-        motion.east_m + 0.5 * lasts_s * east_m_s,
+        motion.north_m + north_m,
+        motion.east_m + east_m,
         motion.up_m,
         motion.north_m_s + north_m_s,
         motion.east_m_s + east_m_s,
