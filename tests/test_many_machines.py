@@ -57,7 +57,7 @@ FLOOR_M = 0.15  # a vehicle's centre that is lower stands
 END_S = 90.0  # for Ctrl-C; a computer that is gone costs roslaunch 20 to 40 s
 GONE_S = 8.0  # from the end of roslaunch to that of the last process; after that the guards of the sessions would kill
 # A place for each, far from the others, which would land with one that comes near. An aircraft that hears nothing any
-# more keeps its last tilt for two seconds, 1 to 4 degrees, and drifts by 0.3 to 1.5 m: the net is wider than that.
+# more keeps its last tilt for a second, 1 to 4 degrees, and drifts: the net is wider than that.
 APART = ("course:=origin", "course_options:={spacing_m: 3.0}")
 pytestmark = pytest.mark.alone
 LAPTOPS = tuple(VEHICLE_OF)
@@ -500,7 +500,7 @@ def test_when_sshd_dies_its_vehicle_lands_and_the_others_fly_on(accidents):
 
 @pytest.mark.release
 def test_when_a_laptop_dies_its_vehicle_lands_by_itself_and_the_others_fly_on(accidents):
-    """Nothing reaches it any more: the vehicle's own watchdog hovers for two seconds, then lands."""
+    """Nothing reaches it any more: the vehicle's own watchdog has it hover, then land."""
     later = [c for c in accidents.commands("risc2") if c.time_s > accidents.power_s + LATE_S]
     assert later == []
     vehicle_ends_landed(accidents, "risc2")

@@ -128,7 +128,7 @@ def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, 
 
 @pytest.mark.parametrize("kind", ["ardrone", "iris"])
 def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
-    """No ladder can see that. The vehicle's own watchdog lands it: an AR.Drone's after 2 s, an IRIS+'s radio."""
+    """No ladder can see that. The vehicle's own watchdog lands it: an AR.Drone's after 1 s, an IRIS+'s radio."""
     lost = "blackhole:channel=risc1/commands,duration_s=15@1"
     flying = {"types": (kind,), "duration_s": 6.0}
     result = with_faults(lost, **flying)
@@ -137,6 +137,15 @@ def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", math.inf)
     monkeypatch.setattr("risc_simulator.vehicles.iris.offline.FAILSAFE_S", math.inf)
     assert with_faults(lost, **flying).breaches
+
+
+@pytest.mark.parametrize(("watchdog_s", "outcome"), [(1.0, "landed"), (2.0, "breach")])
+def test_a_dead_link_ends_inside_the_net_although_it_dies_while_the_vehicle_brakes(watchdog_s, outcome, monkeypatch):
+    """com_watchdog is 1 s, not the SDK's 2: for so long the aircraft keeps the tilt it brakes with."""
+    monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", watchdog_s)
+    faults = tuple(map(parse_fault, ("mocap_blackout:0.3@3", "link_blackhole:5,risc1@3.2")))
+    result = fly(Flight("circle", vehicles=1, seed=3, duration_s=8.0, faults=faults))
+    assert [fault.outcome for fault in result.faults] == ["held", outcome]
 
 
 @pytest.mark.parametrize("lands", [True, False])
@@ -152,7 +161,8 @@ def test_states_that_are_always_a_little_too_late_end_a_flight(lands):
 
 @pytest.mark.parametrize("brakes", [True, False])
 def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
-    """With its last tilt it has come near the net, fast, when it hears again that it is to land."""
+    """With its last tilt it has come near the net, fast, when it hears again that it is to land (com_watchdog 2 s)."""
+    monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", 2.0)
     if not brakes:
         monkeypatch.setattr(VehiclePilot, "_brakes", lambda self, now_s: False)
     fault = parse_fault("link_blackhole:1.6576,risc1@9.219")

@@ -3,7 +3,7 @@
 import pytest
 
 from ardrone_autonomy import link as link_module
-from ardrone_autonomy.link import DroneLink, Phase
+from ardrone_autonomy.link import LOST_S, DroneLink, Phase
 from ardrone_autonomy.piloting import HOVER, Sticks
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.navdata import ControlState, State, Tag
@@ -17,7 +17,7 @@ LEFT = Sticks(1, -0.5, 0.0, 0.0, 0.0)
 class Bench:
     """A link, a clock that only moves when told, and a vehicle that answers every 5 ms."""
 
-    def __init__(self, settle_s=0.0, command_timeout_s=0.0, writes=WRITES, land_timeout_s=0.0):
+    def __init__(self, settle_s=0.0, command_timeout_s=0.0, writes=WRITES, land_timeout_s=0.0, lost_s=LOST_S):
         self.now_s = 100.0
         self.commands = []  # (time, AtCommand) that left the link
         self.datagrams = []  # times
@@ -31,6 +31,7 @@ class Bench:
             settle_s=settle_s,
             command_timeout_s=command_timeout_s,
             land_timeout_s=land_timeout_s,
+            lost_s=lost_s,
             report=lambda *item: self.reports.append(item),
         )
         self.power_on()
@@ -490,9 +491,9 @@ def test_a_short_silence_changes_nothing_but_wakes_the_vehicle_up(bench):
     bench.run(0.1)
     count = len(bench.wake_ups)
     bench.speaks = False
-    bench.run(1.5)
+    bench.run(0.9)
     assert bench.link.phase is Phase.READY
-    assert len(bench.wake_ups) - count >= 5
+    assert len(bench.wake_ups) - count >= 3
     assert bench.ref & at.Ref.START
     assert bench.sticks == FORWARD
     bench.speaks = True
@@ -516,6 +517,17 @@ def test_a_lost_vehicle_is_told_to_land_and_configured_again(bench):
     assert bench.written == WRITES
     assert bench.link.connections == 2
     assert not bench.ref & at.Ref.START
+
+
+@pytest.mark.parametrize("lost_s", [LOST_S, 3.0])
+def test_a_vehicle_is_lost_when_its_own_watchdog_takes_us_for_lost(lost_s):
+    bench = Bench(lost_s=lost_s)
+    bench.run(0.5)
+    bench.speaks = False
+    bench.run(lost_s - 0.1)
+    assert bench.link.phase is Phase.READY
+    bench.run(0.4)
+    assert bench.link.phase is Phase.SEARCHING
 
 
 def test_a_rebooted_vehicle_does_not_take_off_by_itself(bench):

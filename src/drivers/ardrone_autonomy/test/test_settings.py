@@ -36,7 +36,7 @@ APPENDIX_C = {
     "enemy_colors": 3,
     "enemy_without_shell": 0,
 }
-ALWAYS = {"navdata_demo": "FALSE", "max_bitrate": "4000", "navdata_options": "268435455"}
+ALWAYS = {"navdata_demo": "FALSE", "max_bitrate": "4000", "navdata_options": "268435455", "com_watchdog": "1"}
 
 
 def test_the_parameters_are_those_of_the_original():

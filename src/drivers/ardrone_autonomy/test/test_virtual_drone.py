@@ -93,6 +93,7 @@ def test_flight_emergency_and_lost_link(lab, thread):
     assert host.get("control:control_vz_max") == pytest.approx(1000.0)  # came with outdoor
     assert host.get("detect:enemy_colors") == 3
     assert host.configuration.current_ids == (SESSION, "cea48d22", "e182b69b")
+    assert host.get("general:com_watchdog") == thread.link.lost_s == 1
     assert host.statistics()["config_ignored"] == 2  # to delete profiles that there are not
 
     thread.post(thread.link.take_off)
@@ -212,7 +213,7 @@ def test_the_vehicle_of_a_driver_that_dies_or_hangs_stops_and_lands(lab, pilot, 
 
 def test_without_a_keeper_it_flies_on_with_its_last_tilt(lab, pilot):
     os.kill(pilot(kept=False).pid, signal.SIGKILL)
-    assert speed_after(lab, 1.8) > 0.6 and lab.vehicle_hosts["risc1"].told is Told.FLY
+    assert speed_after(lab, 0.9) > 0.4 and lab.vehicle_hosts["risc1"].told is Told.FLY
 
 
 def test_a_new_driver_keeps_a_vehicle_in_the_air(lab, pilot):

@@ -1,7 +1,7 @@
 """A small process beside the driver: it keeps vehicles hovering when the driver dies or hangs, and then lands them.
 
-The aircraft flies on with its last tilt for two seconds when nobody commands it, and a driver that is started again
-needs as long. What it may do is said in memory that both share; it has nothing of the driver's that could fail with it.
+The aircraft flies on with its last tilt for a second when nobody commands it, and a driver that is started again
+needs longer. What it may do is said in memory that both share; it has nothing of the driver's that could fail with it.
 A driver that is started again takes its vehicles over from the keeper of the one that died (`take_over`); programs of
 other users cannot.
 

@@ -2,7 +2,7 @@
 
     SEARCHING --first packet--> SETTLING --settle time--> CONFIGURING --all writes acknowledged--> READY
         ^                                                     ^------- the vehicle has rebooted ------|
-        |------------------------- nothing received for LOST_S seconds -------------------------------|
+        |------------------------- nothing received for lost_s seconds -------------------------------|
 
 Everything that happens is told to it with the time of a monotonic clock: received datagrams (`on_navdata`), orders of
 the pilot (`steer`, `take_off`, ...) and the passing of time (`poll`).  It answers through two functions that send a
@@ -28,7 +28,7 @@ from ardrone_autonomy.piloting import HOVER
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.at import CtrlMode
 from ardrone_autonomy.protocol.navdata import HEADER, WAKE_UP, ControlState, Navdata, NavdataError, State, peek
-from ardrone_autonomy.settings import APPLICATION_ID, USER_ID
+from ardrone_autonomy.settings import APPLICATION_ID, DRIVER_DEFAULTS, USER_ID
 
 TICK_S = 0.025  # 40 Hz, as the original; the aircraft starts to worry after 50 ms of silence
 MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
@@ -36,7 +36,7 @@ WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent, and again; r
 COMMAND_TIMEOUT_S = 0.5  # default: a node that died must not leave its last tilt to fly on
 STALL_S = 0.5  # a driver that was not called for so long stood still: orders to fly of that time are old,
 DEAF_S = 0.3  # and may still come in for so long
-LOST_S = 2.0  # silence after which the vehicle counts as lost: its own limit, general:com_watchdog
+LOST_S = float(DRIVER_DEFAULTS["com_watchdog"])  # default: silence after which the vehicle counts as lost
 ACK_TIMEOUT_S = 0.5  # a configuration write without answer is repeated after this time
 MAX_WRITE_TRIES = 5
 CLEAR_PERIOD_S = 0.05  # repetition of the request to clear the acknowledge bit
@@ -76,6 +76,7 @@ class DroneLink:
     session_id: 8 hexadecimal digits.
     settle_s: pause between the first packet and the configuration.
     command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever, as in the original.
+    lost_s: silence after which the vehicle counts as lost and is told to land: its own limit, general:com_watchdog.
     land_timeout_s: land when it is older, of a vehicle that was steered once; 0 = never, as in the original.
     report: function (level, text), level "info", "warn" or "error".
     """
@@ -89,6 +90,7 @@ class DroneLink:
         settle_s=5.0,
         command_timeout_s=COMMAND_TIMEOUT_S,
         land_timeout_s=0.0,
+        lost_s=LOST_S,
         report=lambda level, text: None,
     ):
         self._send_command = send_command
@@ -98,6 +100,7 @@ class DroneLink:
         self._settle_s = settle_s
         self._command_timeout_s = command_timeout_s
         self._land_timeout_s = land_timeout_s
+        self.lost_s = lost_s
         self._report = report
 
         self.phase = Phase.SEARCHING
@@ -354,7 +357,7 @@ class DroneLink:
                 self._send_wake_up(WAKE_UP)
                 self._navdata_sequence = -1
                 self._next_wake_up_s = now_s + WAKE_UP_PERIOD_S
-                if self.connected and now_s - self._heard_s >= LOST_S:
+                if self.connected and now_s - self._heard_s >= self.lost_s:
                     self._on_lost()
             else:
                 self._next_wake_up_s = self._heard_s + WAKE_UP_PERIOD_S
@@ -372,7 +375,7 @@ class DroneLink:
         self.due_s = min(self._next_wake_up_s, next_step_s, self._next_tick_s)
 
     def _on_lost(self):
-        self._report("error", "nothing received for %.1f s: landing is ordered, looking for the vehicle" % LOST_S)
+        self._report("error", "nothing received for %.1f s: landing is ordered, looking for the vehicle" % self.lost_s)
         self.phase = Phase.SEARCHING
         self._writes.clear()
         self._write_state = _Write.IDLE

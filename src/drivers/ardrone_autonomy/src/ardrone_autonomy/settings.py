@@ -22,8 +22,14 @@ MAX_STRING_CHARS = 127
 VIDEO_CODEC_LIVE = 0x81  # H.264, 360p
 VIDEO_CODEC_RECORD = 0x82  # 360p to the client, 720p to the USB key
 
-# Values that the driver writes unless a parameter has another; all else stays as the aircraft has it.
-DRIVER_DEFAULTS = {"max_bitrate": 4000, "navdata_options": ALL_OPTIONS_MASK, "navdata_demo": False}
+# Values that the driver writes unless a parameter has another; all else stays as the aircraft has it. An aircraft that
+# hears nothing keeps its last tilt for com_watchdog seconds: 1 is the least it takes, the SDK's 2 leave it the net.
+DRIVER_DEFAULTS = {
+    "max_bitrate": 4000,
+    "navdata_options": ALL_OPTIONS_MASK,
+    "navdata_demo": False,
+    "com_watchdog": 1,
+}
 
 # Parameters of the driver that reach the aircraft, by bare name.
 WRITABLE_KEYS = {key.name: key for key in config.KEYS.values() if not key.read_only and key.section != "custom"}

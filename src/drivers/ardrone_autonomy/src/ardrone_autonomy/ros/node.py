@@ -174,6 +174,7 @@ class ArdroneDriver:
             settle_s=params.settle_time,
             command_timeout_s=params.cmd_timeout,
             land_timeout_s=params.cmd_land_timeout,
+            lost_s=self._configuration.lost_s,
             note=self._note_state,
         )
 

@@ -48,6 +48,11 @@ class Configuration(NamedTuple):
     warnings: list  # texts about parameters that are not used, or not as they stand
 
     @property
+    def lost_s(self):
+        """Silence [s] after which vehicle and driver take each other for lost; an aircraft's least is 1 s."""
+        return max(1.0, float(self.texts["com_watchdog"]))
+
+    @property
     def video_channel(self):
         """After the configuration: 0 front, 1 bottom."""
         return int(self.texts.get("video_channel", 0)) % 2

@@ -10,9 +10,10 @@ input is counted, never raised.
 
 Where the public documents leave a choice, this aircraft does:
 - State bit 30 stays set until COMWDG arrives, even when commands flow again.
-- The two-second watchdog counts accepted commands only, so a client that restarts with low sequence numbers is let in
-  after 2 s.  It hovers for 2 s more, then lands; it takes off again only after REF bit 9 was seen 0.
-- Between 50 ms and 2 s of silence the last command stays in force.
+- The watchdog of general:com_watchdog (2 s unless a client writes another time, 1 s at least) counts accepted commands
+  only, so a client that restarts with low sequence numbers is let in after it.  It hovers for 2 s more, then lands; it
+  takes off again only after REF bit 9 was seen 0.
+- From 50 ms of silence until then the last command stays in force.
 - Flight and LED animations, CALIB and the user box are acknowledged and noted (see `notes`), not performed.
 - Wake-up value 2 (multicast) is answered by unicast.
 """
