@@ -96,6 +96,8 @@ def test_a_vehicle_that_suffered_may_land_and_be_off_its_course():
     assert judged([fault(vehicle="")], {"risc1": LANDED, "risc2": LANDED}, **FAR_OFF) == []
     for nobody in ([], [fault(vehicle="risc2")]):
         assert len(judged(nobody, **FAR_OFF)) == 2, "without a fault of its own it must be where it should"
+    nowhere = np.zeros(4000, dtype=bool)
+    assert judged([fault()], {"risc1": LANDED}, {"risc1": 11.5}, course=nowhere) == [], "landed on the way to a figure"
     up = judged([fault()], actual_m=np.tile([0.0, 0.0, 0.9], (4000, 1)))
     assert up == ["fluffy_II: was still 0.90 m up at the end"]
 

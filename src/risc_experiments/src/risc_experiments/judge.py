@@ -39,10 +39,11 @@ def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespa
         reasons += unsafe(faults)
     for name, vehicle in flight.vehicles.items():
         suffered = bool(faults) and _suffered(namespaces.get(name, name), faults)
-        reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena, suffered)]
+        if not suffered:  # else the outcome says whether it stayed inside the net
+            reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena)]
         # references may have ended before the flight did
         height_m = flight.paths[name].values[-1, 2] if name in flight.paths else vehicle.actual_m[-1, 2]
-        if vehicle.course.any() and height_m > limits.landed_height_m:
+        if (suffered or vehicle.course.any()) and height_m > limits.landed_height_m:
             reasons.append("%s: was still %.2f m up at the end" % (name, height_m))
         if with_cameras and not suffered:
             reasons += ["%s: %s" % (name, reason) for reason in _judge_bearings(name, flight.bearings, limits)]
@@ -97,16 +98,11 @@ def _judge_bearings(name, bearings, limits):
             )
 
 
-def _judge_vehicle(vehicle, limits, arena, suffered):
-    """Yield why one vehicle failed. suffered: see `judge`; then the outcome says whether it stayed inside the net."""
+def _judge_vehicle(vehicle, limits, arena):
+    """Yield why one vehicle failed."""
     if not vehicle.course.any():
         yield "never reached its course"
         return
-    if not suffered:
-        yield from _judge_path(vehicle, limits, arena)
-
-
-def _judge_path(vehicle, limits, arena):
     if vehicle.settle_s is None:
         yield "never settled on its course"
     else:
