@@ -72,6 +72,8 @@ IRIS_M = load_vehicle_type("iris").wider_m
     ],
 )
 def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):
+    """Of which nobody says that it does, as of a laptop that is dead."""
+    monkeypatch.setattr(Separation, "tell", lambda self, names: None)
     stops = Flight("knot", vehicles=3, seed=seed, types=types, duration_s=14.0, loss=Loss(seed % 3, what, 1.0))
     result = fly(stops)
     assert result.closest_m > limit_m and all(result.landed)
@@ -90,6 +92,16 @@ def test_wide_vehicles_stop_as_soon_as_one_of_them_does(seed, monkeypatch):
         monkeypatch.setattr(Separation, "tell", lambda self, names: None)
         with pytest.raises(RuntimeError, match="collided"):
             fly(stops)
+
+
+@pytest.mark.parametrize(("what", "seed"), [("controls", 1), ("state", 5)])
+def test_five_on_a_circle_stop_as_soon_as_one_of_them_does(what, seed, monkeypatch):
+    stops = Flight("circle", vehicles=5, seed=seed, duration_s=8.0, loss=Loss(seed % 5, what, 1.0))
+    result = fly(stops)
+    assert result.closest_m > LIMITS.separation_m and all(result.landed)
+    monkeypatch.setattr(Separation, "tell", lambda self, names: None)  # the control arm: it is only seen
+    with pytest.raises(RuntimeError, match="collided"):
+        fly(stops)
 
 
 @pytest.mark.parametrize(("what", "vehicle"), [("state", 0), ("controls", 1), ("laptop", 2)])

@@ -11,9 +11,8 @@ A vehicle holds when a neighbour
   than `separation_course_m` from it within `separation_follow_s`,
 - is or will be as near as that and has not been seen for `state_land_s`, so that its own ladder lands it,
 - is or will be as near as that and holds. One vehicle of a fleet that stops is in the way of the next, and so on.
-  That one holds is seen; where one of the two is wider than an AR.Drone, and the gap between hulls so narrow that this
-  would be late, the nodes of both know it at once (`tell`): each hears the safety topics of the other's vehicles. One
-  that says nothing (an older node, a lost network) is seen.
+  Nodes know it at once (`tell`): each hears the safety topics of the others' vehicles. That of one that says nothing
+  (an older node, a lost network) is seen, half a second later.
 
 One that is not seen stays where it was seen last, for `separation_forget_s`, with all that is below, since it comes
 down there; it may also have flown on for a while. A vehicle that stands on the floor makes nobody hold; landing on it
@@ -139,12 +138,12 @@ class Separation:
 
     @property
     def asks(self):
-        """Whether `tell` changes anything: some vehicle is wider than an AR.Drone."""
-        return any(self._wider_m.values())
+        """Whether `tell` changes anything: there are others."""
+        return len(self._names) > 1
 
     def tell(self, names):
         """These vehicles hold or land because of something else than others, which their nodes know before anybody can
-        see it. It counts beside a wide vehicle only: courses of AR.Drones leave room to see it first.
+        see it.
         """
         self._vehicles["told"] = [name in names for name in self._names]
 
@@ -334,6 +333,7 @@ def _judge(vehicles, apart_m, now_s, limits_of_all):
     n, anybody, tells, limits = len(vehicles), False, False, limits_of_all[0]
     for i in range(n):
         _note_course(vehicles[i], now_s, limits)
+        tells |= vehicles[i].told
     for i in range(n):
         one, velocity, spare_m = vehicles[i], _velocity(vehicles[i]), 0.0
         one.holds = False
@@ -360,7 +360,6 @@ def _judge(vehicles, apart_m, now_s, limits_of_all):
                 if other.strays:
                     one.cause = Cause.UNSEEN if unseen_s > limits.state_land_s else Cause.STRAYS
         anybody |= one.holds
-        tells |= one.told
     spreads = anybody or tells
     while spreads:
         spreads = False
@@ -370,8 +369,7 @@ def _judge(vehicles, apart_m, now_s, limits_of_all):
                 continue
             nearest_m = limits.separation_stray_m
             for j in range(n):
-                holds = vehicles[j].holds or (vehicles[j].told and _wider(one, vehicles[j]) > 0.0)
-                if holds and apart_m[i, j] < nearest_m:
+                if (vehicles[j].holds or vehicles[j].told) and apart_m[i, j] < nearest_m:
                     nearest_m = apart_m[i, j]
                     one.neighbour, one.cause = j, Cause.HOLDS
             if nearest_m < limits.separation_stray_m:
