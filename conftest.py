@@ -4,7 +4,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 FIRST, SECOND = "first tier", "second tier"  # of tests, for hypothesis
-LONGEST = "test_ros.py"  # with the rostests in it; begins first where files run side by side
+LONGEST = "test_ros.py", "test_ros_of_flights.py"  # the rostests; these begin first where files run side by side
 LEFT = pytest.StashKey[int]()  # how many tests are left for --all
 
 # neither an example nor making one up has a limit; the first tier tries the same ones every time
@@ -29,7 +29,7 @@ def inputs(request):
 
 @pytest.hookimpl(trylast=True)  # what -k and -m leave out is not counted
 def pytest_collection_modifyitems(config, items):
-    items.sort(key=lambda item: item.path.name != LONGEST)
+    items.sort(key=lambda item: item.path.name not in LONGEST)
     if config.getoption("all"):
         return
     left = [item for item in items if item.get_closest_marker("release")]
