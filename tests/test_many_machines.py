@@ -550,6 +550,7 @@ def fly_on_one_computer(folder):
     return log.read_text(errors="replace"), json.loads((folder / "virtual_lab.json").read_text())
 
 
+@pytest.mark.release  # `flight` flies the file on four
 def test_the_same_file_flies_on_one_computer(tmp_path):
     """machine:=local lab:=true, what a reader tries first."""
     log, statistics = fly_on_one_computer(tmp_path / "flight")
