@@ -17,7 +17,7 @@ from risc_lab.ros.launching import MARK, marked_processes
 
 ROSTEST_S = 400.0  # more than every time-limit in a .test file
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-# those of half of the packages are in test_ros_of_flights.py: files run side by side, and nodes wait half of the time
+# those of these packages, half of the time, are in test_ros_of_flights.py: files run side by side
 OF_FLIGHTS = ("risc_control", "risc_experiments", "risc_visual")
 ROSTESTS = sorted((ROOT / "src").rglob("test/*.test"))
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src").rglob("launch/*.launch"))

@@ -136,11 +136,6 @@ class Separation:
         rows = self._rows_of(names)
         _refer(self._vehicles, rows, derivatives, referred_s, self._course_m)
 
-    @property
-    def asks(self):
-        """Whether `tell` changes anything: there are others."""
-        return len(self._names) > 1
-
     def tell(self, names):
         """These vehicles hold or land because of something else than others, which their nodes know before anybody can
         see it.

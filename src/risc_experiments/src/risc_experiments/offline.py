@@ -335,8 +335,7 @@ class RunningFlight:
         separation.see(names, believed, states.x, stamp_s)
         course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
         separation.refer(names, course_m, self._time_s)
-        if separation.asks:
-            separation.tell({name for name, chain in zip(self._names, self._chains) if chain.pilot.holds_alone})
+        separation.tell({name for name, chain in zip(self._names, self._chains) if chain.pilot.holds_alone})
         looks = separation.look(self._now_s)
         return [looks.get(name, ALONE) for name in self._names], suspects
 

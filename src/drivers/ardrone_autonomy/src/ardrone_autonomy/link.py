@@ -76,8 +76,8 @@ class DroneLink:
     session_id: 8 hexadecimal digits.
     settle_s: pause between the first packet and the configuration.
     command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever, as in the original.
-    lost_s: silence after which the vehicle counts as lost and is told to land: its own limit, general:com_watchdog.
     land_timeout_s: land when it is older, of a vehicle that was steered once; 0 = never, as in the original.
+    lost_s: silence after which the vehicle counts as lost and is told to land: its own limit, general:com_watchdog.
     report: function (level, text), level "info", "warn" or "error".
     """
 

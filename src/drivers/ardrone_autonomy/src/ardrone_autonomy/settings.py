@@ -23,7 +23,7 @@ VIDEO_CODEC_LIVE = 0x81  # H.264, 360p
 VIDEO_CODEC_RECORD = 0x82  # 360p to the client, 720p to the USB key
 
 # Values that the driver writes unless a parameter has another; all else stays as the aircraft has it. An aircraft that
-# hears nothing keeps its last tilt for com_watchdog seconds: 1 is the least it takes, the SDK's 2 leave it the net.
+# hears nothing keeps its last tilt for com_watchdog seconds, a whole number: in the SDK's 2 it can leave the net.
 DRIVER_DEFAULTS = {
     "max_bitrate": 4000,
     "navdata_options": ALL_OPTIONS_MASK,

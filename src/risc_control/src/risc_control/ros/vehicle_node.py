@@ -95,7 +95,7 @@ class VehicleNode:
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
-        others = [v for v in everybody if self._separation.asks and v.template not in self._by_name]
+        others = [vehicle for vehicle in everybody if vehicle.template not in self._by_name]
         # how long it counts that another node holds or lands its vehicle
         self._held_until_s = {vehicle.template: -math.inf for vehicle in others}
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
@@ -186,9 +186,8 @@ class VehicleNode:
             in_radians = states.states * _TO_RADIANS
             believed = self._plausibility.look(states.names, states.visible, in_radians, stamp_s)
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
-            if self._separation.asks:
-                own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
-                self._separation.tell(own | {name for name, s in self._held_until_s.items() if now_s < s})
+            own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
+            self._separation.tell(own | {name for name, s in self._held_until_s.items() if now_s < s})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:

@@ -49,7 +49,7 @@ class Configuration(NamedTuple):
 
     @property
     def lost_s(self):
-        """Silence [s] after which vehicle and driver take each other for lost; an aircraft's least is 1 s."""
+        """Silence [s] after which vehicle and driver take each other for lost; whole seconds, at least 1."""
         return max(1.0, float(self.texts["com_watchdog"]))
 
     @property
