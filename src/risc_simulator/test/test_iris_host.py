@@ -30,7 +30,7 @@ class Station:
         self.address = self.lab.fleet.vehicles[0].address
         self.vehicle = self.lab.world.vehicles["iris1"]
         self.autopilot, self.host = self.vehicle.firmware, self.lab.vehicle_hosts["iris1"]
-        self.autopilot.level_error_rad = 0.0, 0.0  # nobody holds its place
+        self.vehicle.change_plant(roll_level_rad=0.0, pitch_level_rad=0.0)  # nobody holds its place
         self.line, self.bytes, self._next_s = None, b"", 0.0
         self.telemetry = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.telemetry.connect((self.address, STANDARD_PORTS.telemetry))

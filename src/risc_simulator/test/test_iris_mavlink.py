@@ -147,8 +147,9 @@ class Vehicle:
 
     def __init__(self):
         self.namespace, self.phase = "iris1", FlightPhase.LANDED
+        self.plant = types.SimpleNamespace(roll_level_rad=0.0, pitch_level_rad=0.0)
         self.firmware = types.SimpleNamespace(
-            armed=False, lifted=False, drain_pct_s=0.01, command=(0.1, -0.2, 0.0, 0.0), level_error_rad=(0.0, 0.0)
+            armed=False, lifted=False, drain_pct_s=0.01, command=(0.1, -0.2, 0.0, 0.0)
         )
         rest = np.array([0.5, 0.25, 0.1]), np.zeros(3), *(0.0,) * 6
         self.state = VehicleState(*rest, np.array([0.0, 0.0, -GRAVITY_M_S2]), (0, 0, 0, 0), 80.0)

@@ -9,9 +9,9 @@ import pytest
 from iris_flight import make_world
 
 from risc_simulator.models.flight import FlightAction, FlightPhase
+from risc_simulator.models.perturbed_plant import spreads
 from risc_simulator.vehicles.iris.firmware import Mode
 from risc_simulator.vehicles.iris.offline import FAILSAFE_S, FAILSAFE_US, FRAME_S, OfflineLink
-from risc_simulator.vehicles.iris.sensors import sensor_errors
 
 CYCLE_S = 0.005
 Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node has them
@@ -123,10 +123,10 @@ def test_what_it_reports_of_itself():
         flight.run(0.1, flight.hover())
         reports.append(flight.link.report(flight.world.time_s)[2])
     tilt_rad = np.mean([report["tilt_rad"] for report in reports[20:]], axis=0)
-    error_rad = flight.autopilot.level_error_rad
-    assert 0.001 < max(map(abs, error_rad)) <= 2.0 * sensor_errors().level_error_rad
+    level_rad = flight.vehicle.plant.roll_level_rad, flight.vehicle.plant.pitch_level_rad
+    assert 0.001 < max(map(abs, level_rad)) <= 2.0 * spreads().level_rad
     assert tilt_rad == pytest.approx((0.0, 0.0), abs=3e-4), "it is level, as it believes"
-    assert (flight.vehicle.state.phi, flight.vehicle.state.theta) == pytest.approx([-e for e in error_rad], abs=3e-4)
+    assert (flight.vehicle.state.phi, flight.vehicle.state.theta) == pytest.approx(level_rad, abs=3e-4)
     ways_m = [report["height_m"] for report in reports]
     errors_m = np.array(ways_m) - flight.vehicle.state.position_m[2]
     assert 0.02 < np.std(np.diff(errors_m)) < 0.1 and len(set(ways_m)) == len(ways_m)

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, solve_discrete_are
+from scipy.linalg import expm
 
 from risc_control.vehicles import CLIMB_LOOP, climb_acceleration, climb_loops
 from risc_lab.command_history import ROWS, Channel, last_by
@@ -20,14 +20,10 @@ from risc_lab.frames import GRAVITY_M_S2
 
 STEP_S = 0.005  # grid of the prediction; one frame of motion capture
 MAX_HORIZON_S = 1.0
-_MAX_GAP_S = 0.1  # a longer gap between measurements restarts the tilt observer
-_OBSERVER_TABLE_S = 0.0005  # resolution of the observer's step
-_MEASURED_HZ = 200.0  # the rate that the observer's gain is for
 
 # One step of a command loop, exact while the command u holds: value+ = f11 value + f12 rate + g1 u,
 # rate+ = f21 value + f22 rate + g2 u.
 LOOP_STEP = record("f11 f12 f21 f22 g1 g2")
-TILT_STEP = record(("phi", LOOP_STEP), ("theta", LOOP_STEP))
 
 # What the prediction knows of a vehicle type: steps of STEP_S of its loops, and what moves it.
 PLANT = record(
@@ -47,7 +43,7 @@ def plants(vehicle_types):
     """(k,) PLANT of k VehicleTypes. Raises ValueError when the delay of one cannot be predicted."""
     found = np.zeros(len(vehicle_types), PLANT)
     for plant, vehicle_type in zip(found, vehicle_types):
-        steps = _loop_steps(*discretised(*loops(vehicle_type), STEP_S))
+        steps = loop_steps(*discretised(*loops(vehicle_type), STEP_S))
         plant.phi, plant.theta, plant.height, plant.psi = steps
         plant.yaw_time_constant_s = vehicle_type.yaw_rate_time_constant_s
         plant.drag_1_s = vehicle_type.drag_n_s_m / vehicle_type.mass_kg
@@ -98,13 +94,13 @@ def discretised(A, b, step_s):
     return both[..., :m, :m], both[..., :m, m]
 
 
-def _loop_steps(Phi, Gamma):
+def loop_steps(Phi, Gamma):
     """(...) LOOP_STEP of Phi (..., 2, 2) and Gamma (..., 2)."""
     return np.concatenate([Phi.reshape(Phi.shape[:-2] + (4,)), Gamma], axis=-1).view(LOOP_STEP)[..., 0]
 
 
 @compiled
-def _stepped(loop, value, rate, command):
+def stepped(loop, value, rate, command):
     """(value, rate) of a command loop one step on."""
     return (
         loop.f11 * value + loop.f12 * rate + loop.g1 * command,
@@ -138,59 +134,6 @@ def fill_in_force(sent, own, plant, stamp_s, commands):
             commands[step] = own.commands[k_own % ROWS]
 
 
-# --- roll and pitch with their rates -----------------------------------------------------------------------------
-
-TILT = record("phi_rad phi_rate_rad_s theta_rad theta_rate_rad_s time_s")
-# Of the Kalman filter: on the angle and its rate, per angle of innovation.
-TILT_GAIN = record(("phi", float, (2,)), ("theta", float, (2,)))
-
-
-def tilt_observer(vehicle_types, angle_noise_rad, disturbance_rad_s2):
-    """((k, steps) TILT_STEP of 1, 2, ... times _OBSERVER_TABLE_S, (k,) TILT_GAIN) of k VehicleTypes, for `observe`.
-
-    Roll and pitch with their rates, from measured angles and the commands in force: a steady-state Kalman filter. Rates
-    by differencing noisy angles are noisy or late; the model of the attitude loop knows them better.
-
-    angle_noise_rad: standard deviation of a measured angle.  disturbance_rad_s2: density of what the model of the loop
-    does not know, as an angular acceleration [rad/s^2/sqrt(Hz)]: more trusts the measurement more.
-    """
-    A, b = (np.stack(part)[:, : Channel.CLIMB] for part in zip(*map(loops, vehicle_types)))
-    times_s = _OBSERVER_TABLE_S * np.arange(1, round(_MAX_GAP_S / _OBSERVER_TABLE_S) + 1)
-    every = np.repeat(A[:, None], len(times_s), axis=1), np.repeat(b[:, None], len(times_s), axis=1)
-    table = _loop_steps(*discretised(*every, times_s[:, None, None, None]))
-    steps, gains = np.zeros(table.shape[:2], TILT_STEP), np.zeros(len(A), TILT_GAIN)
-    Phi, _ = discretised(A, b, 1.0 / _MEASURED_HZ)
-    noise = np.diag([0.0, disturbance_rad_s2**2 / _MEASURED_HZ]) + 1e-15 * np.eye(2)
-    for axis, name in enumerate(TILT_GAIN.names):
-        steps[name] = table[:, :, axis]
-        for kind, gain in enumerate(gains):
-            P = solve_discrete_are(Phi[kind, axis].T, [[1.0], [0.0]], noise, [[angle_noise_rad**2]])
-            gain[name] = P[:, 0] / (P[0, 0] + angle_noise_rad**2)
-    return steps, gains
-
-
-@compiled
-def observe(tilt, time_s, measured, command, steps, gain):
-    """Bring a vehicle's TILT to time_s by what was measured: (phi, theta, phi', theta'); the rates to start with.
-
-    command: in force since the last measurement.  steps, gain: of the vehicle's type, see `tilt_observer`.
-    """
-    phi_rad, theta_rad, phi_rate_rad_s, theta_rate_rad_s = measured
-    j = np.rint((time_s - tilt.time_s) / _OBSERVER_TABLE_S)
-    if 1.0 <= j <= len(steps):
-        step = steps[int(j) - 1]
-        phi, phi_rate = _stepped(step.phi, tilt.phi_rad, tilt.phi_rate_rad_s, command[Channel.PHI])
-        theta, theta_rate = _stepped(step.theta, tilt.theta_rad, tilt.theta_rate_rad_s, command[Channel.THETA])
-        tilt.phi_rad = phi + gain.phi[0] * (phi_rad - phi)
-        tilt.phi_rate_rad_s = phi_rate + gain.phi[1] * (phi_rad - phi)
-        tilt.theta_rad = theta + gain.theta[0] * (theta_rad - theta)
-        tilt.theta_rate_rad_s = theta_rate + gain.theta[1] * (theta_rad - theta)
-    elif j != 0.0:
-        tilt.phi_rad, tilt.phi_rate_rad_s = phi_rad, phi_rate_rad_s
-        tilt.theta_rad, tilt.theta_rate_rad_s = theta_rad, theta_rate_rad_s
-    tilt.time_s = time_s
-
-
 # --- the motion ahead --------------------------------------------------------------------------------------------
 
 
@@ -221,7 +164,7 @@ def steps_of(horizon_s):
 
 
 @compiled
-def _acceleration(phi_rad, theta_rad, psi_rad, up_m_s, command, plant):
+def acceleration(phi_rad, theta_rad, psi_rad, up_m_s, command, plant):
     """North, east and up [m/s^2]: the climb loop gives the vertical one, the tilt (g + a_up) tan(tilt) along it."""
     a_up = climb_acceleration(command[Channel.CLIMB], up_m_s, plant.climb)
     a_forward = -(GRAVITY_M_S2 + a_up) * math.tan(theta_rad)
@@ -231,29 +174,32 @@ def _acceleration(phi_rad, theta_rad, psi_rad, up_m_s, command, plant):
 
 
 @compiled
-def predicted(motion, plant, horizon_s, commands):
+def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east_m_s2=0.0):
     """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`.
+
+    push: acceleration that the model does not know, and that stays.
 
     The response of the command loops is exact on the grid of STEP_S. The acceleration that they cause is integrated
     once and twice as if it were linear between the grid points. Drag is taken at the initial velocity.
     """
     steps = steps_of(horizon_s)
     dt = STEP_S
-    drag_north, drag_east = plant.drag_1_s * motion.north_m_s, plant.drag_1_s * motion.east_m_s
+    drag_north = plant.drag_1_s * motion.north_m_s - push_north_m_s2
+    drag_east = plant.drag_1_s * motion.east_m_s - push_east_m_s2
     north, east, up = motion.north_m, motion.east_m, motion.up_m
     v_north, v_east, v_up = motion.north_m_s, motion.east_m_s, motion.up_m_s
     phi, theta, psi = motion.phi_rad, motion.theta_rad, motion.psi_rad
     phi_rate, theta_rate, psi_rate = motion.phi_rate_rad_s, motion.theta_rate_rad_s, motion.psi_rate_rad_s
     command = commands[1]
-    a_north, a_east, a_up = _acceleration(phi, theta, psi, v_up, command, plant)
+    a_north, a_east, a_up = acceleration(phi, theta, psi, v_up, command, plant)
     for k in range(1, steps + 1):
-        phi, phi_rate = _stepped(plant.phi, phi, phi_rate, command[Channel.PHI])
-        theta, theta_rate = _stepped(plant.theta, theta, theta_rate, command[Channel.THETA])
-        psi, psi_rate = _stepped(plant.psi, psi, psi_rate, command[Channel.YAW_RATE])
-        up, v_up = _stepped(plant.height, up, v_up, command[Channel.CLIMB])
+        phi, phi_rate = stepped(plant.phi, phi, phi_rate, command[Channel.PHI])
+        theta, theta_rate = stepped(plant.theta, theta, theta_rate, command[Channel.THETA])
+        psi, psi_rate = stepped(plant.psi, psi, psi_rate, command[Channel.YAW_RATE])
+        up, v_up = stepped(plant.height, up, v_up, command[Channel.CLIMB])
         command = commands[min(k + 1, steps)]
         before_north, before_east = a_north, a_east
-        a_north, a_east, a_up = _acceleration(phi, theta, psi, v_up, command, plant)
+        a_north, a_east, a_up = acceleration(phi, theta, psi, v_up, command, plant)
         north += dt * v_north + dt * dt * (before_north / 3.0 + a_north / 6.0 - drag_north / 2.0)
         east += dt * v_east + dt * dt * (before_east / 3.0 + a_east / 6.0 - drag_east / 2.0)
         v_north += dt * (0.5 * (before_north + a_north) - drag_north)

@@ -2,7 +2,8 @@
 
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
-forward the reference's jerk and snap through the attitude loop.
+forward the reference's jerk and snap through the attitude loop. What the model does not know, the error of the level and
+what pushes the vehicle, is observed (`disturbance_observer`), predicted and taken out of the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -14,17 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from risc_control import controllers
-from risc_control.delay_prediction import (
-    TILT,
-    Motion,
-    fill_in_force,
-    loops,
-    observe,
-    plants,
-    predicted,
-    steps_of,
-    tilt_observer,
-)
+from risc_control.delay_prediction import Motion, fill_in_force, loops, plants, predicted, steps_of
+from risc_control.disturbance_observer import OBSERVED, forget, observe, observer
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.lqr import lqi_gain, lqr_gain
 from risc_control.reference_buffer import Axis, Order
@@ -42,11 +34,11 @@ _LONGEST_STEP_S = 0.1  # of the integrators: a gap in the states must not count 
 class Params(Settings):
     """Diagonals of Q and R, and limits. An integral weight of 0 switches that integrator off."""
 
-    q_integral: NotNegative = 100.0  # horizontal [1/(m s)^2]
-    q_position: NotNegative = 200.0  # [1/m^2]
+    q_integral: NotNegative = 0.0  # horizontal [1/(m s)^2]
+    q_position: NotNegative = 150.0  # [1/m^2]
     q_velocity: NotNegative = 25.0  # [1/(m/s)^2]
-    q_tilt: NotNegative = 0.0  # on the acceleration by tilt [1/(m/s^2)^2]
-    q_tilt_rate: NotNegative = 0.0
+    q_tilt: NotNegative = 1.6  # on the acceleration by tilt [1/(m/s^2)^2]
+    q_tilt_rate: NotNegative = 0.12
     r_horizontal: Positive = 1.0  # [1/(m/s^2)^2]
     q_height_integral: NotNegative = 40.0  # vertical [1/(m s)^2]
     q_height: NotNegative = 70.0
@@ -57,9 +49,12 @@ class Params(Settings):
     r_yaw: Positive = 1.0
     error_max_m: Positive = 0.4  # larger position errors count as this long: bounds the speed of a return
     integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
-    integral_min_height_m: Positive = 0.3  # no integration lower than this: the vehicle may stand
-    angle_noise_rad: Positive = 0.005  # of a measured roll or pitch, for the tilt observer
+    integral_min_height_m: Positive = 0.3  # nothing is learnt lower than this: the vehicle may stand
+    angle_noise_rad: Positive = 0.005  # of a measured roll or pitch, for the observer; see `disturbance_observer`
     tilt_disturbance_rad_s2: Positive = 0.6  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
+    level_rad_s: NotNegative = 0.018  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
+    position_noise_m: Positive = 0.02  # of a measured position
+    push_m_s3: NotNegative = 0.1  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
 
 
 # What bounds the commands of a vehicle; see `Params`.
@@ -87,22 +82,23 @@ class Controller(controllers.Controller):
         self._plants = plants(self._types)
         self.delay_s = self._plants["delay_s"][self._kinds]
         self._computed = CommandHistory(len(vehicle_types))
-        self._tilts = np.zeros(len(vehicle_types), TILT)
-        self._tilts["time_s"] = -np.inf
+        self._observed = np.zeros(len(vehicle_types), OBSERVED)
+        self._observed["time_s"] = -np.inf
         self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
         self._stamp_s = -np.inf
 
     def design(self, params):
-        """((k,) _GAINS, (k,) _LIMITS, and what `tilt_observer` gives) of the k types. Raises ValueError when there is
-        no solution.
+        """((k,) _GAINS, (k,) _LIMITS, and what `observer` gives) of the k types. Raises ValueError when there is no
+        solution.
         """
         limits = np.array([_limits(t, params) for t in self._types], _LIMITS)
-        observer = tilt_observer(self._types, params.angle_noise_rad, params.tilt_disturbance_rad_s2)
-        return _gains(self._types, params), limits, *observer
+        return _gains(self._types, params), limits, observer(self._types, params)
 
     def reset(self):
-        """Forget the integrals and the commands under way."""
+        """Forget what was learnt and the commands under way."""
         self._integrals[:] = np.zeros((), _INTEGRALS)
+        self._observed[:] = np.zeros((), OBSERVED)
+        self._observed["time_s"] = -np.inf
         self.forget_times()
 
     def forget_times(self):
@@ -114,7 +110,7 @@ class Controller(controllers.Controller):
         """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
-        gains, limits, observer_steps, observer_gains = self.designed
+        gains, limits, observer_steps = self.designed
         is_finite = _step(
             float(t.stamp_s),
             float(t.now_s),
@@ -124,8 +120,7 @@ class Controller(controllers.Controller):
             limits,
             gains,
             observer_steps,
-            observer_gains,
-            self._tilts,
+            self._observed,
             self._integrals,
             states.sent.vehicles,
             self._computed.vehicles,
@@ -151,8 +146,8 @@ def _limits(vehicle_type, params):
 
 @compiled
 def _step(
-    stamp_s, now_s, step_s, kinds, plants, limits, gains, observer_steps, observer_gains, tilts, integrals, sent,
-    computed, x, usable, autonomous, present, ahead, commands, saturated
+    stamp_s, now_s, step_s, kinds, plants, limits, gains, observer_steps, observed, integrals, sent, computed, x,
+    usable, autonomous, present, ahead, commands, saturated
 ):  # fmt: skip
     """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
 
@@ -166,36 +161,44 @@ def _step(
     in_force = np.empty((1 + steps.max(), CHANNELS))
     applied = np.zeros((len(kinds), CHANNELS))  # what the vehicles settle at, at our commands
     for i in range(len(kinds)):
-        kind, integral = kinds[i], integrals[i]
+        kind, integral, seen = kinds[i], integrals[i], observed[i]
         plant, limit, gain = plants[kind], limits[kind], gains[kind]
         saturated[i] = False
         if not autonomous[i]:
             # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
             integral.north_m_s = integral.east_m_s = integral.up_m_s = 0.0
+            forget(seen)
         if not usable[i]:
             # a vehicle that is out of sight for a moment keeps its trim
             integral.tilt_was_cut = integral.climb_was_cut = False
             continue
         under_way = in_force[: 1 + steps[kind]]
         fill_in_force(sent[i], computed[i], plant, stamp_s, under_way)
-        measured = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
-        observe(tilts[i], stamp_s, measured, under_way[0], observer_steps[kind], observer_gains[kind])
-        motion = predicted(_motion(x[i], tilts[i]), plant, age_s + plant.delay_s, under_way)
+        tilt = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
+        way = x[i, S.X], -x[i, S.Y], x[i, S.U], -x[i, S.V]
+        observe(seen, stamp_s, tilt, way, under_way[0], x[i, S.PSI], x[i, S.W], plant, observer_steps[kind])
+        if not (autonomous[i] and x[i, S.Z] > limit.integral_min_height_m):
+            forget(seen)
+        under_way[:, Channel.PHI] += seen.phi_level_rad
+        under_way[:, Channel.THETA] += seen.theta_level_rad
+        ahead_s, push = age_s + plant.delay_s, (seen.north_m_s2, seen.east_m_s2)
+        motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way, *push)
         if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
             _integrate(integral, step_s, x[i], present[:, i], limit)
 
         up, climb_cut = _up(motion, ahead[:, i], plant, limit, gain, integral)
-        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral)
+        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral, push)
         wanted_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
         if not math.isfinite(forward + right + up + wanted_rate):
             return False
         f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
         wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
-        roll, pitch = clipped(wanted.roll_rad, limit.roll_rad), clipped(wanted.pitch_rad, limit.pitch_rad)
+        wanted_roll, wanted_pitch = wanted.roll_rad - seen.phi_level_rad, wanted.pitch_rad - seen.theta_level_rad
+        roll, pitch = clipped(wanted_roll, limit.roll_rad), clipped(wanted_pitch, limit.pitch_rad)
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
         commands[3, i] = thrust_at_tilt(f.up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
-        integral.tilt_was_cut = shortened or roll != wanted.roll_rad or pitch != wanted.pitch_rad
+        integral.tilt_was_cut = shortened or roll != wanted_roll or pitch != wanted_pitch
         integral.climb_was_cut = climb_cut
         saturated[i] = integral.tilt_was_cut or climb_cut or yaw_rate != wanted_rate
         if autonomous[i]:
@@ -207,11 +210,11 @@ def _step(
 
 
 @compiled
-def _motion(x, tilt):
+def _motion(x, seen):
     """Motion of a vehicle by its state; roll and pitch as they are observed."""
     return Motion(
         x[S.X], -x[S.Y], x[S.Z], x[S.U], -x[S.V], x[S.W],
-        tilt.phi_rad, tilt.theta_rad, x[S.PSI], tilt.phi_rate_rad_s, tilt.theta_rate_rad_s, x[S.R], 0.0,
+        seen.phi_rad, seen.theta_rad, x[S.PSI], seen.phi_rate_rad_s, seen.theta_rate_rad_s, x[S.R], 0.0,
     )  # fmt: skip
 
 
@@ -234,13 +237,17 @@ def _integrate(integral, step_s, x, reference, limit):
 
 
 @compiled
-def _horizontal(motion, reference, plant, limit, gain, integral):
-    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll."""
+def _horizontal(motion, reference, plant, limit, gain, integral, push):
+    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll. push: north and east, see
+    `predicted`.
+    """
     cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
     a_forward, a_right = _tilt_reference(reference, Order.ACCELERATION, plant, cos_psi, sin_psi)
     j_forward, j_right = _tilt_reference(reference, Order.JERK, plant, cos_psi, sin_psi)
     s_forward, s_right = _tilt_reference(reference, Order.SNAP, plant, cos_psi, sin_psi)
+    push_forward, push_right = _turned(push[0], push[1], cos_psi, sin_psi)
+    a_forward, a_right = a_forward - push_forward, a_right - push_right
     # ... and in the vehicle's, which turn at psi' (the yaw acceleration is neglected)
     turn = motion.psi_rate_rad_s
     s_forward, s_right = (

@@ -1,29 +1,53 @@
 """The true vehicle behind the nominal one: parameters drawn around a vehicle type's values.
 
-Controllers know only the nominal type. A virtual lab flies vehicles whose mass, thrust, attitude loops, drag
-and link delay differ from it, as every real airframe does.
+Controllers know only the nominal type. A virtual lab flies vehicles that differ from it in all that
+config/perturbed_plant.yaml names, as every real airframe does.
 """
 
+import functools
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import AttitudeLoop
-from risc_lab.settings import NotNegative, Positive, Settings
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import NotNegative, Positive, Settings, between, settings_from
 
-# One standard deviation of each property; draws are cut at two of them.
-MASS_SPREAD = 0.03  # battery, hull and markers
-THRUST_SPREAD = 0.03  # propellers, battery voltage
-LOOP_BANDWIDTH_SPREAD = 0.15  # natural frequency of each attitude loop
-DRAG_SPREAD = 0.20
-DELAY_SPREAD_S = 0.020
 MIN_DELAY_S = 0.001  # a radio link is never faster than this
 _CUT_SIGMA = 2.0
 
 MAX_THRUST_TO_WEIGHT = 1.8  # at nominal mass, full battery
 IDLE_THRUST_TO_WEIGHT = 0.1  # running rotors never stop pushing
 TUMBLE_DAMPING_1_S = 6.0  # air damping of hull and standing propellers
+
+
+_Share = between(0.0, 0.4)  # of a value that has to stay positive at two standard deviations
+
+
+@dataclass(frozen=True)
+class Spreads(Settings):
+    """config/perturbed_plant.yaml, which says what each is."""
+
+    mass: _Share
+    thrust: _Share
+    bandwidth: _Share
+    damping: _Share
+    gain: _Share
+    yaw_rate_time_constant: _Share
+    climb_time_constant: _Share
+    drag: _Share
+    delay_s: NotNegative
+    level_rad: NotNegative
+    climb_scale: _Share
+    climb_bias_m_s: NotNegative
+
+
+@functools.cache
+def spreads():
+    """Spreads of every vehicle. Raises ValueError that names the file and the key."""
+    path = package_file("risc_simulator", "config/perturbed_plant.yaml")
+    return settings_from(Spreads, load_yaml(path), str(path))
 
 
 @dataclass(frozen=True)
@@ -40,6 +64,10 @@ class PlantParams(Settings):
     climb_time_constant_s: Positive
     command_delay_s: NotNegative  # from sending to effect, beside the wait for the radio slot
     drag_n_s_m: NotNegative  # linear drag force per velocity relative to the air
+    roll_level_rad: float  # angle that it comes to when it is told to be level
+    pitch_level_rad: float
+    climb_scale: Positive  # climb rate that its own sensors tell: scale * true one + bias
+    climb_bias_m_s: float
     thrust_min_n: NotNegative
     thrust_max_n: Positive
 
@@ -51,6 +79,10 @@ def nominal_plant(vehicle_type):
     return PlantParams(
         nominal_mass_kg=vehicle_type.mass_kg,
         thrust_scale=1.0,
+        roll_level_rad=0.0,
+        pitch_level_rad=0.0,
+        climb_scale=1.0,
+        climb_bias_m_s=0.0,
         thrust_min_n=IDLE_THRUST_TO_WEIGHT * weight_n,
         thrust_max_n=MAX_THRUST_TO_WEIGHT * weight_n,
         **{name: getattr(vehicle_type, name) for name in names},
@@ -66,20 +98,37 @@ def draw_plant(vehicle_type, rng, perturbed=True):
     plant = nominal_plant(vehicle_type)
     if not perturbed:
         return plant
-    mass, thrust, roll, pitch, drag, delay = np.clip(rng.standard_normal(6), -_CUT_SIGMA, _CUT_SIGMA).tolist()
+    spread = spreads()
+    mass, thrust, roll, pitch, drag, delay = _draws(rng, 6)  # the order is part of what a seed means
+    roll_damping, pitch_damping, roll_gain, pitch_gain, yaw_rate, climb = _draws(rng, 6)
+    roll_level, pitch_level, climb_scale, climb_bias = _draws(rng, 4)
     return replace(
         plant,
-        mass_kg=plant.mass_kg * (1.0 + MASS_SPREAD * mass),
-        thrust_scale=1.0 + THRUST_SPREAD * thrust,
-        roll=_scaled(plant.roll, 1.0 + LOOP_BANDWIDTH_SPREAD * roll),
-        pitch=_scaled(plant.pitch, 1.0 + LOOP_BANDWIDTH_SPREAD * pitch),
-        drag_n_s_m=plant.drag_n_s_m * (1.0 + DRAG_SPREAD * drag),
-        command_delay_s=max(MIN_DELAY_S, plant.command_delay_s + DELAY_SPREAD_S * delay),
+        mass_kg=plant.mass_kg * (1.0 + spread.mass * mass),
+        thrust_scale=1.0 + spread.thrust * thrust,
+        roll=_drawn(plant.roll, spread, roll, roll_damping, roll_gain),
+        pitch=_drawn(plant.pitch, spread, pitch, pitch_damping, pitch_gain),
+        yaw_rate_time_constant_s=plant.yaw_rate_time_constant_s * (1.0 + spread.yaw_rate_time_constant * yaw_rate),
+        climb_time_constant_s=plant.climb_time_constant_s * (1.0 + spread.climb_time_constant * climb),
+        drag_n_s_m=plant.drag_n_s_m * (1.0 + spread.drag * drag),
+        command_delay_s=max(MIN_DELAY_S, plant.command_delay_s + spread.delay_s * delay),
+        roll_level_rad=spread.level_rad * roll_level,
+        pitch_level_rad=spread.level_rad * pitch_level,
+        climb_scale=1.0 + spread.climb_scale * climb_scale,
+        climb_bias_m_s=spread.climb_bias_m_s * climb_bias,
     )
 
 
-def _scaled(loop, bandwidth_scale):
-    return replace(loop, natural_frequency_rad_s=loop.natural_frequency_rad_s * bandwidth_scale)
+def _draws(rng, count):
+    return np.clip(rng.standard_normal(count), -_CUT_SIGMA, _CUT_SIGMA).tolist()
+
+
+def _drawn(loop, spread, bandwidth, damping, gain):
+    return AttitudeLoop(
+        natural_frequency_rad_s=loop.natural_frequency_rad_s * (1.0 + spread.bandwidth * bandwidth),
+        damping_ratio=loop.damping_ratio * (1.0 + spread.damping * damping),
+        gain=loop.gain * (1.0 + spread.gain * gain),
+    )
 
 
 def fill_records(bodies, plants):

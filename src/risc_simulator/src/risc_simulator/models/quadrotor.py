@@ -4,8 +4,8 @@ State (12, n): one row per quantity (enum X), one column per vehicle. Position i
 axes (forward, right, down); angles are NED Euler angles (roll + right wing down, pitch + nose up, yaw + clockwise from
 above). Input (9, n): enum U. What a vehicle is: a record that has QUADROTOR_FIELDS among others.
 
-The loops: commanded angle c gives angle'' = wn^2 (gain c - angle) - 2 zeta wn angle'; yaw rate and vertical speed
-follow their commands as first-order lags.
+The loops: commanded angle c gives angle'' = wn^2 (gain c + level - angle) - 2 zeta wn angle', where level is the error of
+what the vehicle takes for level; yaw rate and vertical speed follow their commands as first-order lags.
 """
 
 import math
@@ -48,9 +48,10 @@ class U(IntEnum):
 
 QUADROTOR_FIELDS = (  # floats, see risc_lab.compiled.record; those of the true vehicle: perturbed_plant.PlantParams
     "mass_kg nominal_mass_kg thrust_scale inertia_x_kg_m2 inertia_y_kg_m2 inertia_z_kg_m2",
-    "roll_natural_frequency_rad_s roll_damping_ratio roll_gain",
-    "pitch_natural_frequency_rad_s pitch_damping_ratio pitch_gain",
+    "roll_natural_frequency_rad_s roll_damping_ratio roll_gain roll_level_rad",
+    "pitch_natural_frequency_rad_s pitch_damping_ratio pitch_gain pitch_level_rad",
     "yaw_rate_time_constant_s climb_time_constant_s drag_n_s_m",
+    "climb_scale climb_bias_m_s",  # climb rate that its own sensors tell: scale * true one + bias
     "thrust_min_n thrust_max_n",  # range of the demanded thrust while the motors run
     "tumble_damping_1_s",  # air damping of the body rates while the motors stand
 )
@@ -70,8 +71,14 @@ def climb_thrust(x, inputs, body):
     sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
     st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
     climb_m_s = x[X.U] * st - x[X.V] * sf * ct - x[X.W] * cf * ct
-    up_m_s2 = (inputs[U.CLIMB] - climb_m_s) / body.climb_time_constant_s + inputs[U.CLIMB_TRIM] + GRAVITY_M_S2
+    up_m_s2 = (inputs[U.CLIMB] - felt_climb(climb_m_s, body)) / body.climb_time_constant_s + inputs[U.CLIMB_TRIM] + GRAVITY_M_S2
     return min(max(body.nominal_mass_kg * up_m_s2 / (cf * ct), body.thrust_min_n), body.thrust_max_n)
+
+
+@compiled
+def felt_climb(climb_m_s, body):
+    """Climb rate [m/s] that the vehicle's own sensors tell of a true one."""
+    return body.climb_scale * climb_m_s + body.climb_bias_m_s
 
 
 @compiled
@@ -114,9 +121,9 @@ def motion(x, inputs, body, thrust_n, x_dot):
 
     if inputs[U.MOTORS] != 0.0:
         wn, zeta = body.roll_natural_frequency_rad_s, body.roll_damping_ratio
-        x_dot[X.P] += wn * wn * (body.roll_gain * inputs[U.ROLL] - phi) - 2.0 * zeta * wn * p
+        x_dot[X.P] += wn * wn * (body.roll_gain * inputs[U.ROLL] + body.roll_level_rad - phi) - 2.0 * zeta * wn * p
         wn, zeta = body.pitch_natural_frequency_rad_s, body.pitch_damping_ratio
-        x_dot[X.Q] += wn * wn * (body.pitch_gain * inputs[U.PITCH] - theta) - 2.0 * zeta * wn * q
+        x_dot[X.Q] += wn * wn * (body.pitch_gain * inputs[U.PITCH] + body.pitch_level_rad - theta) - 2.0 * zeta * wn * q
         x_dot[X.R] += (inputs[U.YAW_RATE] - r) / body.yaw_rate_time_constant_s
         x_dot[X.W] -= body.thrust_scale * thrust_n / body.mass_kg
     else:

@@ -4,7 +4,7 @@ When it runs, and with which numbers, is decided by firmware.py.
 """
 
 from risc_lab.compiled import compiled
-from risc_simulator.models.quadrotor import U, X, level_motion
+from risc_simulator.models.quadrotor import U, X, felt_climb, level_motion
 
 HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
 FLOW_GAIN_RAD_PER_M_S = 0.15  # braking: tilt per velocity seen by the belly camera
@@ -47,5 +47,5 @@ def _brake(velocity_m_s, bias_m_s, vehicle):
 @compiled
 def after_step(inputs, climb_m_s, vehicle, step_s):
     """The slow integral on the climb error; climb_m_s: climb rate at the start of the step."""
-    trim = inputs[U.CLIMB_TRIM] + CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - climb_m_s)
+    trim = inputs[U.CLIMB_TRIM] + CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - felt_climb(climb_m_s, vehicle))
     inputs[U.CLIMB_TRIM] = max(-CLIMB_TRIM_LIMIT_M_S2, min(CLIMB_TRIM_LIMIT_M_S2, trim))

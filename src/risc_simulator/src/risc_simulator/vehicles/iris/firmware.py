@@ -98,7 +98,6 @@ class IrisFirmware(Firmware):
     vehicle, sensors: world.Vehicle that it is in, and its IrisSensors; its host says so.
     parameters: those of the same names of ArduCopter; they act as soon as they are set.
     texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
-    level_error_rad: of the roll and pitch that it believes to have; with these it comes to what the sticks say.
     telemetry_delay_s: from what it says to who hears it.
     """
 
@@ -110,8 +109,7 @@ class IrisFirmware(Firmware):
         self.parameters = _parameters_of(vehicle_type)
         self._take_parameters()
         errors = sensor_errors()
-        roll, pitch, delay = np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if perturbed else (0.0, 0.0, 0.0)
-        self.level_error_rad = errors.level_error_rad * roll, errors.level_error_rad * pitch
+        delay = float(np.clip(rng.standard_normal(), -2.0, 2.0)) if perturbed else 0.0
         self.telemetry_delay_s = max(0.0, vehicle_type.report_delay_s + errors.delay_spread_s * delay)
         self._hover = vehicle_type.hover_throttle
         self._battery = Battery(vehicle_type.battery_life_s)
@@ -464,8 +462,7 @@ class IrisFirmware(Firmware):
         else:
             up = (self._climb_m_s if throttle > 0.0 else self._descent_m_s) * _beyond(throttle, self._climb_dead)
             self._choose_height(up, vertical_motion)
-        tilts_rad = (self._tilt_rad * stick - error for stick, error in zip((roll, pitch), self.level_error_rad))
-        self.command = (*tilts_rad, self._yaw_rate_rad_s * yaw, up)
+        self.command = (self._tilt_rad * roll, self._tilt_rad * pitch, self._yaw_rate_rad_s * yaw, up)
         if self.armed and not self.lifted and self._lifts():
             self.lifted = True
             self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass

@@ -212,9 +212,7 @@ class Messages:
         return mavlink.MAVLink_gps_global_origin_message(latitude, longitude, round(1e3 * altitude_m), _us(now_s))
 
     def _nav_controller_output(self, _now_s):
-        firmware = self._vehicle.firmware
-        wanted_rad = (angle + error for angle, error in zip(firmware.command[:2], firmware.level_error_rad))
-        roll_deg, pitch_deg = map(math.degrees, wanted_rad)
+        roll_deg, pitch_deg = map(math.degrees, self._vehicle.firmware.command[:2])
         return mavlink.MAVLink_nav_controller_output_message(roll_deg, pitch_deg, 0, 0, 0, 0.0, 0.0, 0.0)
 
     # ------------------------------------------------------------------ sensors, motors, channels

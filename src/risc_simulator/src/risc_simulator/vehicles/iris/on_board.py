@@ -8,7 +8,7 @@ import math
 
 from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
-from risc_simulator.models.quadrotor import U, X, climb_thrust, motion
+from risc_simulator.models.quadrotor import U, X, climb_thrust, felt_climb, motion
 
 ROTOR_TIME_CONSTANT_S = 0.04  # from wanted to true thrust: motors and 10-inch propellers
 HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
@@ -56,7 +56,7 @@ def after_step(inputs, climb_m_s, vehicle, step_s):
     vehicle.rotor_thrust_n += share * (vehicle.wanted_thrust_n - vehicle.rotor_thrust_n)
     trim = inputs[U.CLIMB_TRIM]
     if vehicle.climbs:
-        trim += CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - climb_m_s)
+        trim += CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - felt_climb(climb_m_s, vehicle))
     elif abs(climb_m_s) < LEARNING_CLIMB_M_S and vehicle.wanted_thrust_n > vehicle.thrust_min_n:
         trim += step_s / LEARNING_S * (vehicle.lift_m_s2 - trim)
     inputs[U.CLIMB_TRIM] = _within(trim, -CLIMB_TRIM_LIMIT_M_S2, CLIMB_TRIM_LIMIT_M_S2)

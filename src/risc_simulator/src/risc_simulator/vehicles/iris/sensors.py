@@ -24,7 +24,6 @@ CAPACITY_AH = 3.5
 class SensorErrors(Settings):
     """config/iris_sensors.yaml, which says what each is."""
 
-    level_error_rad: NotNegative
     attitude_noise_rad: NotNegative
     heading_error_rad: NotNegative
     gyro_noise_rad_s: NotNegative
@@ -89,7 +88,7 @@ class IrisSensors:
     def read(self, time_s):
         """Reading at a time [s] that does not go back."""
         n, vehicle, errors = self._noise, self._vehicle, self._errors
-        state, level_rad = vehicle.state, vehicle.firmware.level_error_rad
+        state, plant = vehicle.state, vehicle.plant
         a, g, m = errors.acceleration_noise_m_s2, errors.gyro_noise_rad_s, errors.magnetic_noise_mg
         fx, fy, fz = state.specific_force_m_s2.tolist()
         sin_phi, cos_phi = math.sin(state.phi), math.cos(state.phi)
@@ -102,8 +101,8 @@ class IrisSensors:
         altitude_m = height_m + self._drift_m.at(time_s) + self._barometer_m.at(time_s) - self._wash_m * thrust_fraction
         flies = vehicle.firmware.armed
         return Reading(
-            roll_rad=state.phi + level_rad[0] + n(errors.attitude_noise_rad),
-            pitch_rad=state.theta + level_rad[1] + n(errors.attitude_noise_rad),
+            roll_rad=state.phi - plant.roll_level_rad + n(errors.attitude_noise_rad),
+            pitch_rad=state.theta - plant.pitch_level_rad + n(errors.attitude_noise_rad),
             yaw_rad=math.remainder(state.psi + self._heading_rad + n(errors.attitude_noise_rad), 2.0 * math.pi),
             rates_rad_s=(state.p + n(g), state.q + n(g), state.r + n(g)),
             acceleration_m_s2=(fx + n(a), fy + n(a), fz + n(a)),
