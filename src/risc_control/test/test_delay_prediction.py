@@ -1,4 +1,4 @@
-"""Prediction ahead: against the exact loops, against the nonlinear equations of motion, and the tilt observer."""
+"""Prediction ahead: against the exact loops, against the nonlinear equations of motion, what pushes the vehicle."""
 
 import math
 from dataclasses import replace
@@ -10,17 +10,14 @@ from scipy.integrate import solve_ivp
 from risc_control.delay_prediction import (
     MAX_HORIZON_S,
     STEP_S,
-    TILT,
     Motion,
     discretised,
     effective_delay_s,
     fill_in_force,
     loops,
-    observe,
     plants,
     predicted,
     steps_of,
-    tilt_observer,
 )
 from risc_lab.command_history import CHANNELS, Channel, CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
@@ -166,6 +163,13 @@ def test_hover_stays():
     assert ahead(hover, 5.0, 0.2, NOTHING, 0.13) == pytest.approx(hover, abs=1e-15)
 
 
+def test_a_push_that_stays_is_a_parabola_beside_it():
+    commands = np.zeros((1 + steps_of(0.2), CHANNELS))
+    found = predicted(REST, PLANTS[1], 0.2, commands, 0.3, -0.2)
+    assert (found.north_m, found.east_m) == pytest.approx((0.5 * 0.3 * 0.04, -0.5 * 0.2 * 0.04), rel=1e-6)
+    assert (found.north_m_s, found.east_m_s) == pytest.approx((0.06, -0.04), rel=1e-6)
+
+
 def test_commands_count_from_when_they_act():
     history = CommandHistory(2)
     history.append(0, 1.0, np.full(4, 0.1))
@@ -220,60 +224,6 @@ def test_without_word_of_what_was_sent_each_command_that_was_computed_counts_aft
     delay_s = effective_delay_s(ARDRONE)
     wanted = [computed.at(0, 0.5 + STEP_S * (step - 0.5) - delay_s) for step in range(len(found))]
     assert found.tolist() == np.array(wanted).tolist()
-
-
-def unseen():
-    tilt = np.zeros(1, TILT)[0]
-    tilt.time_s = -np.inf
-    return tilt
-
-
-def observed(observer, tilt, time_s, angles_rad, rates_rad_s, command):
-    """((phi, theta), their rates) of the only vehicle."""
-    steps, gains = observer
-    observe(tilt, time_s, (*angles_rad, *rates_rad_s), command, steps[0], gains[0])
-    return (tilt.phi_rad, tilt.theta_rad), (tilt.phi_rate_rad_s, tilt.theta_rate_rad_s)
-
-
-def test_observer_knows_the_rate_from_noisy_angles():
-    """Better than the measured angles, without lag in the rate: 0.3 degree of noise, known commands."""
-    observer, tilt = tilt_observer([ARDRONE], 0.005, 0.6), unseen()
-    A, b = (part[:2] for part in loops(ARDRONE))
-    phi, gamma = discretised(A, b, 0.005)
-    rng, truth = np.random.default_rng(0), np.zeros((2, 2))
-    angle_errors, rate_errors = [], []
-    for k in range(1500):
-        command = np.zeros(CHANNELS)
-        command[: Channel.CLIMB] = 0.1 * np.sin(2.0 * 0.005 * k + np.array([0.0, 1.0]))
-        truth = np.matmul(phi, truth[..., None])[..., 0] + gamma * command[: Channel.CLIMB, None]
-        measured = truth[:, 0] + 0.005 * rng.standard_normal(2)
-        if k % 50 != 7:  # a frame is lost now and then
-            angles, rates = observed(observer, tilt, 0.005 * k, measured, (0.0, 0.0), command)
-            if k > 300:
-                angle_errors.append(angles - truth[:, 0])
-                rate_errors.append(rates - truth[:, 1])
-    assert np.std(angle_errors) < 0.0025 and abs(np.mean(angle_errors)) < 5e-4
-    assert np.std(rate_errors) < 0.06
-
-
-def test_observer_starts_from_the_measurement_and_again_after_a_gap():
-    observer, tilt, command = tilt_observer([ARDRONE], 0.005, 0.6), unseen(), np.zeros(CHANNELS)
-    for time_s in (10.0, 10.5):
-        assert observed(observer, tilt, time_s, (0.1, -0.1), (0.3, 0.2), command) == ((0.1, -0.1), (0.3, 0.2))
-        observed(observer, tilt, time_s + 0.005, (0.0, 0.0), (0.0, 0.0), command)
-
-
-def test_observer_steps_of_any_length_are_those_of_the_exponential():
-    steps, _ = tilt_observer(TYPES, 0.005, 0.6)
-    A, b = (np.stack(part)[:, :2] for part in zip(*map(loops, TYPES)))
-    for j in (1, 10, 137, 200):
-        Phi, Gamma = discretised(A, b, 0.0005 * j)
-        for axis, name in enumerate(("phi", "theta")):
-            step = steps[name][:, j - 1]
-            assert np.stack([step[f] for f in ("f11", "f12", "f21", "f22")], axis=1) == pytest.approx(
-                Phi[:, axis].reshape(2, 4), abs=1e-13
-            )
-            assert np.stack([step["g1"], step["g2"]], axis=1) == pytest.approx(Gamma[:, axis], abs=1e-13)
 
 
 def test_effective_delay():

@@ -29,6 +29,7 @@ def thesis(types, **params):
 
 
 BOTH = [flatness, thesis]
+UNLEARNT = {"level_rad_s": 0.0, "gain_spread": 0.0, "push_m_s3": 0.0}
 YAWS_DEG = [0, 45, 90, 135, 180, -60, -120]
 DT_S = 0.005
 
@@ -147,7 +148,7 @@ def test_thrust_counts_the_tilt_that_the_vehicle_has():
 
 
 def test_integral_grows_only_in_flight_and_starts_afresh():
-    controller = flatness([ARDRONE])
+    controller = flatness([ARDRONE], q_integral=100.0, **UNLEARNT)
 
     def integral():
         return math.hypot(controller.controller._integrals[0].north_m_s, controller.controller._integrals[0].east_m_s)
@@ -173,7 +174,7 @@ def test_integral_grows_only_in_flight_and_starts_afresh():
 
 
 def test_integral_rests_while_the_command_is_cut():
-    controller = flatness([ARDRONE], error_max_m=5.0, integral_max_m_s=50.0)
+    controller = flatness([ARDRONE], q_integral=100.0, **UNLEARNT, error_max_m=5.0, integral_max_m_s=50.0)
     for k in range(400):
         update(controller, states(), standing(x=5.0, z=3.0), k * DT_S)
     grown = controller.controller._integrals[0]

@@ -1,8 +1,9 @@
-"""Controllers and reference buffer against those in numpy that they replaced, and against themselves uncompiled.
+"""Controllers and reference buffer against what they gave before they were compiled, and against themselves uncompiled.
 
-golden/tracking.npz is what `python test_tracking_golden.py golden/tracking.npz` wrote with the numpy controllers of
-November 2026 (whose States took four arrays, and which, where a vehicle cannot be used, were told to forget whether
-its command was cut: they went by a made-up state there).
+golden/tracking.npz is what `python test_tracking_golden.py golden/tracking.npz` wrote: "references" and "thesis" with the
+numpy controllers of November 2026 (whose States took four arrays, and which, where a vehicle cannot be used, were told
+to forget whether its command was cut: they went by a made-up state there), "full" and "late" uncompiled
+(NUMBA_DISABLE_JIT=1) when their controller began to observe disturbances.
 
 The flights are formulas with seeded noise, three vehicles of two types:
 
@@ -172,13 +173,13 @@ def everything(seconds):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_commands_are_those_of_the_numpy_controllers(case):
+def test_commands_are_as_ever(case):
     found, saturated = commands(case)
     assert np.abs(found - GOLDEN[case + "_commands"]).max() < TOLERANCE
     assert (saturated == GOLDEN[case + "_saturated"]).all()
 
 
-def test_references_are_those_of_the_numpy_buffer():
+def test_references_are_as_ever():
     worst = np.abs(references() - GOLDEN["references"]).max(axis=(0, 1, 3, 4))
     assert (worst < REFERENCE_TOLERANCES).all(), worst
 

@@ -182,9 +182,9 @@ def test_alt_hold_keeps_its_height_with_the_throttle_in_the_middle(flyer):
 @pytest.mark.parametrize("throttle_us, share", [(2000, 1.0), (1800, 0.5), (1600, 0.0), (1400, 0.0), (1000, -1.0)])
 def test_alt_hold_climbs_by_the_throttle_beyond_its_dead_zone(throttle_us, share, perturbed):
     hands = Hands(make_world(perturbed=perturbed, seed=7))
-    hands.vehicle.fly_at((0.0, 0.0, 1.8))
+    hands.vehicle.fly_at((0.0, 0.0, 1.5 - 0.7 * share))
     hands.autopilot.set_mode(Mode.ALT_HOLD)
-    hands.send(0.8, throttle=throttle_us)
+    hands.send(1.2, throttle=throttle_us)
     wanted_m_s = share * hands.vehicle.type.climb_max_m_s
     assert hands.vehicle.state.velocity_m_s[2] == pytest.approx(wanted_m_s, abs=0.12)
 

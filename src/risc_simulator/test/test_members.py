@@ -87,7 +87,7 @@ def test_a_vehicle_type_has_its_own_equations_and_leaves_the_others_alone():
     rows = fly(mixed)
     np.testing.assert_array_equal(rows[:, 0], fly(alone)[:, 0])
     height_m = rows[:, 1, 2]
-    tau_s = load_vehicle_type(BALLOON_TYPE).climb_time_constant_s
+    tau_s = mixed.vehicles["risc2"].plant.climb_time_constant_s
     risen_s = 1.0 - tau_s * (1.0 - np.exp(-1.0 / tau_s))  # from 1 s to 2 s
     assert height_m[19] - height_m[9] == pytest.approx(0.4 * risen_s, rel=0.02)
     assert height_m[-1] == pytest.approx(height_m[0] + 0.4 * 2.0, rel=0.02)

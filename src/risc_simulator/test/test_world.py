@@ -10,8 +10,10 @@ import pytest
 from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
+from risc_simulator.models import perturbed_plant
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.vehicles.ardrone import firmware
+from risc_simulator.vehicles.ardrone.on_board import FLOW_GAIN_RAD_PER_M_S
 from risc_simulator.world import REST_HEIGHT_M, World
 
 GOLDEN = pathlib.Path(__file__).parent / "golden"
@@ -104,8 +106,11 @@ def test_take_off_hover_land():
     assert vehicle.phase is FlightPhase.LANDED
     assert heights[-1] == REST_HEIGHT_M
     assert not world.crashes
+    # the hover creeps by the error of its level and that of its flow, no more
+    level_rad = math.hypot(vehicle.plant.roll_level_rad, vehicle.plant.pitch_level_rad)
+    creeps_m_s = level_rad / FLOW_GAIN_RAD_PER_M_S + math.hypot(*vehicle.firmware.flow[1:])
     travelled = np.linalg.norm(vehicle.state.position_m[:2] - STARTS[0])
-    assert travelled < 0.25  # the hover creeps, no more
+    assert travelled < creeps_m_s * (1400 * 0.01 - 1.0)
 
 
 def test_setpoints_wait_for_the_end_of_take_off():
@@ -175,7 +180,7 @@ def test_height_is_held_while_gaz_is_at_rest(seed):
         heights_m.append(vehicle.state.position_m[2])
         thetas.append(vehicle.state.theta)
     assert vehicle.phase is FlightPhase.FLYING
-    assert max(thetas) > 0.08 and min(thetas) < -0.08 and vehicle.state.r > 0.2, "the other sticks are obeyed"
+    assert np.ptp(thetas) > 0.16 and vehicle.state.r > 0.2, "the other sticks are obeyed"
     assert max(abs(height_m - 1.2) for height_m in heights_m) < 0.1
     assert abs(heights_m[-1] - 1.2) < 0.05, "the slow integral has found the thrust"
 
@@ -503,7 +508,12 @@ def fly_the_golden_flight():
     }
 
 
-def test_the_golden_flight_is_flown_as_ever():
+def test_the_golden_flight_is_flown_as_ever(monkeypatch):
+    """On plants of which only that was drawn what was drawn when it was made."""
+    drawn = "mass", "thrust", "bandwidth", "drag", "delay_s"
+    others = {name: 0.0 for name in vars(perturbed_plant.spreads()) if name not in drawn}
+    spreads = dataclasses.replace(perturbed_plant.spreads(), **others)
+    monkeypatch.setattr(perturbed_plant, "spreads", lambda: spreads)
     golden = np.load(GOLDEN / "world_flight.npz")
     flown = fly_the_golden_flight()
     assert set(flown) == set(golden)

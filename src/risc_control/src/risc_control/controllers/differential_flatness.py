@@ -2,8 +2,8 @@
 
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
-forward the reference's jerk and snap through the attitude loop. What the model does not know, the error of the level and
-what pushes the vehicle, is observed (`disturbance_observer`), predicted and taken out of the command.
+forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain of the tilt, what
+pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -16,7 +16,7 @@ import numpy as np
 
 from risc_control import controllers
 from risc_control.delay_prediction import Motion, fill_in_force, loops, plants, predicted, steps_of
-from risc_control.disturbance_observer import OBSERVED, forget, observe, observer
+from risc_control.disturbance_observer import forget, observe, observer, unseen
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.lqr import lqi_gain, lqr_gain
 from risc_control.reference_buffer import Axis, Order
@@ -35,9 +35,9 @@ class Params(Settings):
     """Diagonals of Q and R, and limits. An integral weight of 0 switches that integrator off."""
 
     q_integral: NotNegative = 0.0  # horizontal [1/(m s)^2]
-    q_position: NotNegative = 150.0  # [1/m^2]
+    q_position: NotNegative = 200.0  # [1/m^2]
     q_velocity: NotNegative = 25.0  # [1/(m/s)^2]
-    q_tilt: NotNegative = 1.6  # on the acceleration by tilt [1/(m/s^2)^2]
+    q_tilt: NotNegative = 2.5  # on the acceleration by tilt [1/(m/s^2)^2]
     q_tilt_rate: NotNegative = 0.12
     r_horizontal: Positive = 1.0  # [1/(m/s^2)^2]
     q_height_integral: NotNegative = 40.0  # vertical [1/(m s)^2]
@@ -50,11 +50,12 @@ class Params(Settings):
     error_max_m: Positive = 0.4  # larger position errors count as this long: bounds the speed of a return
     integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
     integral_min_height_m: Positive = 0.3  # nothing is learnt lower than this: the vehicle may stand
-    angle_noise_rad: Positive = 0.005  # of a measured roll or pitch, for the observer; see `disturbance_observer`
-    tilt_disturbance_rad_s2: Positive = 0.6  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
-    level_rad_s: NotNegative = 0.018  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
+    angle_noise_rad: Positive = 0.01  # of a measured roll or pitch, for the observer; see `disturbance_observer`
+    tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
+    level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
+    gain_spread: NotNegative = 0.1  # of angles over commanded ones; 0: it is not learnt
     position_noise_m: Positive = 0.02  # of a measured position
-    push_m_s3: NotNegative = 0.1  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
+    push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
 
 
 # What bounds the commands of a vehicle; see `Params`.
@@ -82,8 +83,7 @@ class Controller(controllers.Controller):
         self._plants = plants(self._types)
         self.delay_s = self._plants["delay_s"][self._kinds]
         self._computed = CommandHistory(len(vehicle_types))
-        self._observed = np.zeros(len(vehicle_types), OBSERVED)
-        self._observed["time_s"] = -np.inf
+        self._observed = unseen(len(vehicle_types))
         self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
         self._stamp_s = -np.inf
 
@@ -92,13 +92,12 @@ class Controller(controllers.Controller):
         solution.
         """
         limits = np.array([_limits(t, params) for t in self._types], _LIMITS)
-        return _gains(self._types, params), limits, observer(self._types, params)
+        return _gains(self._types, params), limits, *observer(self._types, params)
 
     def reset(self):
         """Forget what was learnt and the commands under way."""
         self._integrals[:] = np.zeros((), _INTEGRALS)
-        self._observed[:] = np.zeros((), OBSERVED)
-        self._observed["time_s"] = -np.inf
+        self._observed[:] = unseen(len(self._observed))
         self.forget_times()
 
     def forget_times(self):
@@ -110,7 +109,7 @@ class Controller(controllers.Controller):
         """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
-        gains, limits, observer_steps = self.designed
+        gains, limits, steps, unknown = self.designed
         is_finite = _step(
             float(t.stamp_s),
             float(t.now_s),
@@ -119,7 +118,8 @@ class Controller(controllers.Controller):
             self._plants,
             limits,
             gains,
-            observer_steps,
+            steps,
+            unknown,
             self._observed,
             self._integrals,
             states.sent.vehicles,
@@ -146,7 +146,7 @@ def _limits(vehicle_type, params):
 
 @compiled
 def _step(
-    stamp_s, now_s, step_s, kinds, plants, limits, gains, observer_steps, observed, integrals, sent, computed, x,
+    stamp_s, now_s, step_s, kinds, plants, limits, gains, tables, unknowns, observed, integrals, sent, computed, x,
     usable, autonomous, present, ahead, commands, saturated
 ):  # fmt: skip
     """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
@@ -154,7 +154,7 @@ def _step(
     sent, computed: see `fill_in_force`.  Returns False, and counts nothing as sent, when a number of a vehicle is not
     finite.
     """
-    age_s = max(0.0, now_s - stamp_s)
+    age_s, unknown = max(0.0, now_s - stamp_s), unknowns[0]
     steps = np.empty(len(plants), dtype=np.int64)
     for k in range(len(plants)):
         steps[k] = steps_of(age_s + plants[k].delay_s)
@@ -167,7 +167,7 @@ def _step(
         if not autonomous[i]:
             # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
             integral.north_m_s = integral.east_m_s = integral.up_m_s = 0.0
-            forget(seen)
+            forget(seen, unknown)
         if not usable[i]:
             # a vehicle that is out of sight for a moment keeps its trim
             integral.tilt_was_cut = integral.climb_was_cut = False
@@ -176,12 +176,16 @@ def _step(
         fill_in_force(sent[i], computed[i], plant, stamp_s, under_way)
         tilt = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
         way = x[i, S.X], -x[i, S.Y], x[i, S.U], -x[i, S.V]
-        observe(seen, stamp_s, tilt, way, under_way[0], x[i, S.PSI], x[i, S.W], plant, observer_steps[kind])
-        if not (autonomous[i] and x[i, S.Z] > limit.integral_min_height_m):
-            forget(seen)
-        under_way[:, Channel.PHI] += seen.phi_level_rad
-        under_way[:, Channel.THETA] += seen.theta_level_rad
-        ahead_s, push = age_s + plant.delay_s, (seen.north_m_s2, seen.east_m_s2)
+        observe(seen, stamp_s, tilt, way, under_way[0], x[i, S.PSI], x[i, S.W], plant, tables[kind], unknown)
+        if not x[i, S.Z] > limit.integral_min_height_m:  # it may stand
+            forget(seen, unknown)
+            seen.north.push_m_s2 = seen.east.push_m_s2 = 0.0
+        roll_level, roll_gain = seen.phi.level_rad, 1.0 + seen.phi.gain
+        pitch_level, pitch_gain = seen.theta.level_rad, 1.0 + seen.theta.gain
+        for k in range(len(under_way)):
+            under_way[k, Channel.PHI] = roll_level + roll_gain * under_way[k, Channel.PHI]
+            under_way[k, Channel.THETA] = pitch_level + pitch_gain * under_way[k, Channel.THETA]
+        ahead_s, push = age_s + plant.delay_s, (seen.north.push_m_s2, seen.east.push_m_s2)
         motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way, *push)
         if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
             _integrate(integral, step_s, x[i], present[:, i], limit)
@@ -193,7 +197,8 @@ def _step(
             return False
         f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
         wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
-        wanted_roll, wanted_pitch = wanted.roll_rad - seen.phi_level_rad, wanted.pitch_rad - seen.theta_level_rad
+        wanted_roll = (wanted.roll_rad - roll_level) / roll_gain
+        wanted_pitch = (wanted.pitch_rad - pitch_level) / pitch_gain
         roll, pitch = clipped(wanted_roll, limit.roll_rad), clipped(wanted_pitch, limit.pitch_rad)
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
@@ -213,8 +218,8 @@ def _step(
 def _motion(x, seen):
     """Motion of a vehicle by its state; roll and pitch as they are observed."""
     return Motion(
-        x[S.X], -x[S.Y], x[S.Z], x[S.U], -x[S.V], x[S.W],
-        seen.phi_rad, seen.theta_rad, x[S.PSI], seen.phi_rate_rad_s, seen.theta_rate_rad_s, x[S.R], 0.0,
+        x[S.X], -x[S.Y], x[S.Z], seen.north.m_s, seen.east.m_s, x[S.W],
+        seen.phi.angle_rad, seen.theta.angle_rad, x[S.PSI], seen.phi.rate_rad_s, seen.theta.rate_rad_s, x[S.R], 0.0,
     )  # fmt: skip
 
 

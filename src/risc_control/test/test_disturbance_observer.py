@@ -1,0 +1,167 @@
+"""The disturbance observer: what it knows of tilt and rate, level, gain and push; what it does not believe."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from risc_control.controllers.differential_flatness import Params
+from risc_control.delay_prediction import discretised, loops, plants
+from risc_control.disturbance_observer import observe, observer, unseen
+from risc_lab.command_history import CHANNELS, Channel
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.lab import load_vehicle_type
+
+ARDRONE = load_vehicle_type("ardrone")
+OTHER = replace(ARDRONE, roll=replace(ARDRONE.roll, natural_frequency_rad_s=9.0), drag_n_s_m=0.0)
+TYPES = [ARDRONE, OTHER]
+PLANT = plants([ARDRONE])[0]
+PARAMS = Params()
+FRAME_S = 0.005
+
+
+class Flyer:
+    """A vehicle whose loops are those of the model, with a level, gains and a push of its own, heading north."""
+
+    def __init__(self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), seed=0):
+        (self._steps,), self.unknown = observer([ARDRONE], params)
+        self.observed = unseen(1)[0]
+        self._A, self._b = (part[:2] for part in loops(ARDRONE))
+        self.level, self.gain, self.push = np.array(level), np.array(gain), np.array(push)
+        self.tilt, self.place, self.velocity = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
+        self.time_s, self._rng = 100.0, np.random.default_rng(seed)
+
+    def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0)):
+        """Fly on under a command (roll, pitch), and be seen, farther away by shown_m."""
+        for _ in range(round(interval_s / 0.0005)):
+            Phi, Gamma = discretised(self._A, self._b, 0.0005)
+            driven = self.gain * command + self.level
+            before = self._acceleration()
+            self.tilt = np.matmul(Phi, self.tilt[..., None])[..., 0] + Gamma * driven[:, None]
+            mean = 0.5 * (before + self._acceleration())
+            self.place = self.place + 0.0005 * self.velocity + 0.5 * 0.0005**2 * mean
+            self.velocity = self.velocity + 0.0005 * mean
+        self.time_s += interval_s
+        if seen:
+            angles = self.tilt[:, 0] + angle_noise_rad * self._rng.standard_normal(2)
+            way = (*(self.place + shown_m), *self.velocity)
+            told = np.zeros(CHANNELS)
+            told[: Channel.CLIMB] = command
+            tilt = (*angles, *self.tilt[:, 1])
+            observe(self.observed, self.time_s, tilt, way, told, 0.0, 0.0, PLANT, self._steps, self.unknown[0])
+
+    def _acceleration(self):
+        phi, theta = self.tilt[:, 0]
+        by_tilt = np.array([-G * math.tan(theta), G * math.tan(phi) / math.cos(theta)])
+        return by_tilt - ARDRONE.drag_n_s_m / ARDRONE.mass_kg * self.velocity + self.push
+
+    @property
+    def angles(self):
+        return np.array([self.observed.phi.angle_rad, self.observed.theta.angle_rad])
+
+    @property
+    def rates(self):
+        return np.array([self.observed.phi.rate_rad_s, self.observed.theta.rate_rad_s])
+
+    @property
+    def learnt(self):
+        """(level, gain, push), of two axes each."""
+        o = self.observed
+        return np.array([(o.phi.level_rad, o.theta.level_rad), (o.phi.gain, o.theta.gain),
+                         (o.north.push_m_s2, o.east.push_m_s2)])  # fmt: skip
+
+
+def waving(k, size_rad=0.1):
+    return size_rad * np.sin(2.0 * FRAME_S * k + np.array([0.0, 1.0]))
+
+
+def test_it_knows_the_rate_from_noisy_angles():
+    """Better than the measured angles, without lag in the rate: 0.6 degrees of noise, known commands."""
+    flyer, errors = Flyer(), []
+    for k in range(1500):
+        flyer.step(waving(k), seen=k % 50 != 7, angle_noise_rad=0.01)
+        if k > 300:
+            errors.append((flyer.angles - flyer.tilt[:, 0], flyer.rates - flyer.tilt[:, 1]))
+    angle_errors, rate_errors = np.array([e for e, k in zip(errors, range(301, 1500)) if k % 50 != 7]).transpose(1, 0, 2)
+    assert np.std(angle_errors) < 0.004 and abs(np.mean(angle_errors)) < 5e-4
+    assert np.std(rate_errors) < 0.06
+
+
+@pytest.mark.parametrize("interval_s", [0.005, 0.01, 0.02])
+def test_it_learns_level_gain_and_push_at_any_rate(interval_s):
+    """Also those of both axes, and their sign; what there is not, it does not learn."""
+    flyer = Flyer(level=(0.01, -0.02), gain=(0.85, 1.1), push=(0.3, 0.0))
+    for k in range(round(40.0 / interval_s)):
+        flyer.step(waving(k * interval_s / FRAME_S), interval_s)
+    level, gain, push = flyer.learnt
+    assert level == pytest.approx((0.01, -0.02), abs=0.002)
+    assert gain == pytest.approx((-0.15, 0.1), abs=0.03)
+    assert push == pytest.approx((0.3, 0.0), abs=0.02)
+
+
+def test_a_push_is_known_within_a_second():
+    flyer = Flyer()
+    for k in range(400):
+        flyer.step(waving(k))
+    flyer.push = np.array([0.0, 0.5])
+    for k in range(400, 600):
+        flyer.step(waving(k))
+    assert flyer.learnt[2] == pytest.approx((0.0, 0.5), abs=0.1)
+
+
+def test_what_is_not_to_be_learnt_is_not():
+    flyer = Flyer(replace(PARAMS, level_rad_s=0.0, gain_spread=0.0, push_m_s3=0.0), (0.01, 0.0), (0.9, 1.0), (0.3, 0.0))
+    for k in range(600):
+        flyer.step(waving(k))
+    assert not flyer.learnt.any()
+
+
+def test_without_commands_the_gain_is_not_guessed():
+    """Its variance stays bounded, however long it hovers."""
+    flyer = Flyer(level=(0.01, 0.0))
+    for _ in range(4000):
+        flyer.step(np.zeros(2), angle_noise_rad=0.01)
+    assert abs(flyer.learnt[1]).max() < 1e-9
+    assert flyer.observed.phi.P[3, 3] <= PARAMS.gain_spread**2 * (1.0 + 1e-9)
+    P = flyer.observed.phi.P
+    assert np.array_equal(P, P.T) and np.linalg.eigvalsh(P).min() > 0.0
+
+
+def test_it_starts_from_the_measurement_and_again_after_a_gap():
+    flyer = Flyer(push=(0.3, 0.0))
+    for k in range(400):
+        flyer.step(waving(k))
+    before = flyer.learnt
+    flyer.step(waving(400), 0.5)
+    assert (flyer.angles == flyer.tilt[:, 0]).all() and (flyer.rates == flyer.tilt[:, 1]).all()
+    assert (flyer.observed.north.m, flyer.observed.north.m_s) == (flyer.place[0], flyer.velocity[0])
+    assert flyer.learnt == pytest.approx(before, abs=1e-12), "what it has learnt stays"
+
+
+def test_false_places_teach_it_nothing_and_are_believed_when_they_stay():
+    flyer = Flyer()
+    for k in range(400):
+        flyer.step(waving(k))
+    before = flyer.learnt
+    for k in range(400, 430):
+        flyer.step(waving(k), shown_m=(1.0, 0.0))
+        assert flyer.learnt == pytest.approx(before, abs=1e-12)
+        assert flyer.observed.north.m == pytest.approx(flyer.place[0], abs=0.01)
+    for k in range(430, 445):
+        flyer.step(waving(k), shown_m=(1.0, 0.0))
+    assert flyer.observed.north.m == pytest.approx(flyer.place[0] + 1.0, abs=0.01)
+    assert flyer.learnt == pytest.approx(before, abs=0.02)
+
+
+def test_steps_of_any_length_are_those_of_the_exponential():
+    steps, _ = observer(TYPES, PARAMS)
+    A, b = (np.stack(part)[:, :2] for part in zip(*map(loops, TYPES)))
+    for j in (1, 10, 137, 200):
+        Phi, Gamma = discretised(A, b, 0.0005 * j)
+        for axis, name in enumerate(("phi", "theta")):
+            step = steps[name][:, j - 1]
+            assert np.stack([step[f] for f in ("f11", "f12", "f21", "f22")], axis=1) == pytest.approx(
+                Phi[:, axis].reshape(2, 4), abs=1e-13
+            )
+            assert np.stack([step["g1"], step["g2"]], axis=1) == pytest.approx(Gamma[:, axis], abs=1e-13)
