@@ -35,7 +35,7 @@ _FALSE_S = 0.2  # what is false for longer is true
 
 # Of a way along one axis, by what was measured: on the place, its rate, and the push.
 _WAY_GAIN = record("place rate push")
-_AS_MEASURED = 1.0, math.nan, 0.0  # no push is learnt: place and velocity are those that were measured
+_AS_MEASURED = 1.0, -1.0, 0.0  # no push is learnt: place and velocity are those that were measured
 # Of a type, by the steps of _TABLE_S since the measurement before.
 STEP = record(("phi", LOOP_STEP), ("theta", LOOP_STEP), ("way", _WAY_GAIN))
 # How much is not known: variance of a measured angle; of what disturbs the rate and the level, per second; of the gain.
@@ -214,5 +214,5 @@ def _correct_way(way, place_m, rate_m_s, gain):
     """By a measured place."""
     off_m = place_m - way.m
     way.m += gain.place * off_m
-    way.m_s = rate_m_s if math.isnan(gain.rate) else way.m_s + gain.rate * off_m
+    way.m_s = rate_m_s if gain.rate < 0.0 else way.m_s + gain.rate * off_m
     way.push_m_s2 = clipped(way.push_m_s2 + gain.push * off_m, _PUSH_MAX_M_S2)

@@ -33,7 +33,7 @@ _PULSES = {"roll": 0.5, "pitch": 0.5, "climb": 1.0}  # [rad, m/s] for a frame
 _FRAMES = 60  # 0.3 s: whole periods of frames, ticks (15 ms) and commands (30 Hz)
 _DECAY_S = 7.5  # from one pulse to the next
 _BEFORE_S = 12.0  # until it is on its course, and at rest
-_DECAYED = 0.03  # of its greatest answer, when the next pulse comes: sticks go by steps
+_DECAYED = 0.03  # of its greatest answer, when the next pulse comes
 FREQUENCIES_RAD_S = np.geomspace(0.2, 100.0, 4000)
 
 
@@ -98,7 +98,8 @@ def responses(flight, bandwidth=1.0, on_progress=None):
     commands = np.array(running.commands)
     found = np.mean([commands[k : k + between] - commands[k - 1] for k in starts], axis=0)
     most, rest = np.abs(found).max(axis=0), np.abs(found[-between // 10 :]).max(axis=0)
-    for axis, is_alive in zip(AXES, rest > _DECAYED * most):
+    hums = np.ptp(commands[first - between // 4 : first], axis=0)  # before the first: dead zones and steps of sticks
+    for axis, is_alive in zip(AXES, rest > _DECAYED * most + hums):
         if is_alive:
             raise ValueError("%s does not come to rest within %g s after a pulse: the loop is unstable, or nearly so"
                              % (axis, _DECAY_S))  # fmt: skip
@@ -167,7 +168,10 @@ def _weights(controller, changes):
         key, is_given, value = change.partition("=")
         if not is_given or not hasattr(params, key):
             raise ValueError("--set %s: give KEY=NUMBER with a parameter of %s" % (change, controller))
-        told[key] = float(value)
+        try:
+            told[key] = float(value)
+        except ValueError:
+            raise ValueError("--set %s: %r is no number" % (change, value)) from None
     return replace(params, **told)
 
 
