@@ -83,7 +83,9 @@ def test_it_knows_the_rate_from_noisy_angles():
         flyer.step(waving(k), seen=k % 50 != 7, angle_noise_rad=0.01)
         if k > 300:
             errors.append((flyer.angles - flyer.tilt[:, 0], flyer.rates - flyer.tilt[:, 1]))
-    angle_errors, rate_errors = np.array([e for e, k in zip(errors, range(301, 1500)) if k % 50 != 7]).transpose(1, 0, 2)
+    angle_errors, rate_errors = np.array([e for e, k in zip(errors, range(301, 1500)) if k % 50 != 7]).transpose(
+        1, 0, 2
+    )
     assert np.std(angle_errors) < 0.004 and abs(np.mean(angle_errors)) < 5e-4
     assert np.std(rate_errors) < 0.06
 

@@ -1,8 +1,8 @@
 """Controllers and reference buffer against what they gave before they were compiled, and against themselves uncompiled.
 
-golden/tracking.npz is what `python test_tracking_golden.py golden/tracking.npz` wrote: "references" and "thesis" with the
-numpy controllers of November 2026 (whose States took four arrays, and which, where a vehicle cannot be used, were told
-to forget whether its command was cut: they went by a made-up state there), "full" and "late" uncompiled
+golden/tracking.npz is what `python test_tracking_golden.py golden/tracking.npz` wrote: "references" and "thesis" with
+the numpy controllers of November 2026 (whose States took four arrays, and which, where a vehicle cannot be used, were
+told to forget whether its command was cut: they went by a made-up state there), "full" and "late" uncompiled
 (NUMBA_DISABLE_JIT=1) when their controller began to observe disturbances.
 
 The flights are formulas with seeded noise, three vehicles of two types:

@@ -25,8 +25,9 @@ def test_it_stops_where_it_is(type_name):
 
 
 def test_a_floor_without_texture():
+    """Nobody sees the error of its level: 0.3 degrees are 0.1 m more in 2 s."""
     several, bare = ("ardrone", ("circle",), (1, 2, 3)), (parse_fault("bare_floor:inf"),)
-    assert farthest_m(*several, faults=bare, node={"hold_auto_hover": False}) < MOST_M
+    assert farthest_m(*several, faults=bare, node={"hold_auto_hover": False}) < MOST_M + 0.1
     # the control arm: it believes that its bottom camera sees
     assert farthest_m(*several, faults=bare, node={"hold_brakes": False}) > 2.0 * MOST_M
 

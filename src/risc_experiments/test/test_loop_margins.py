@@ -11,6 +11,7 @@ from risc_experiments.loop_margins import FREQUENCIES_RAD_S as W
 from risc_experiments.loop_margins import margins, responses, sensitivity
 from risc_experiments.offline import Flight
 from risc_experiments.offline_chain import FRAME_S
+from risc_lab.lab import load_vehicle_type
 
 
 def test_margins_of_an_integrator_with_delay():
@@ -44,7 +45,8 @@ def of_the_default():
     """{bandwidth: {axis: Margins}} of an AR.Drone with 0.1 s of delay."""
     found = {}
     for bandwidth in (1.0, 0.7):
-        per_axis = responses(Flight(delay_s=0.1), bandwidth).T
+        plant = loop_margins.slower(load_vehicle_type("ardrone"), bandwidth)
+        per_axis = responses(Flight(delay_s=0.1, plant=plant)).T
         found[bandwidth] = {axis: margins(sensitivity(r)) for axis, r in zip(loop_margins.AXES, per_axis)}
     return found
 
@@ -60,16 +62,8 @@ def test_the_defaults_are_robust(of_the_default):
 def test_a_loop_is_steady_up_to_its_delay_margin(of_the_default, share, steady):
     """In a flight whose link is later than the controller knows, which is another way to the same number."""
     later_s = share * 1e-3 * min(of_the_default[1.0][axis].delay_margin_ms for axis in ("roll", "pitch"))
-
-    class Later(loop_margins._Hovering):
-        def __init__(self, flight):
-            super().__init__(flight, 1.0)
-            self._vehicle.change_plant(command_delay_s=0.1 + later_s)
-            self._settled = self._vehicle.plant
-
-    still = {"course": loop_margins._STILL, "perturbed": False, "noise": False, "psi_deg": 0.0, "duration_s": 1e6}
-    flight = Flight(vehicles=1, delay_s=0.1, node={"ladder": False}, **still)
-    running = Later(flight)
+    plant = {"command_delay_s": 0.1 + later_s}
+    running = loop_margins._Hovering(Flight(delay_s=0.1, plant=plant, node={"ladder": False}))
     for frame in range(9000):
         running.pulse = frame == 2400
         running.frame()

@@ -1,16 +1,15 @@
 """Fast courses offline: what is allowed is flown well, and what is refused would have been left."""
 
 import pathlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from risc_control import feasibility
-from risc_experiments import offline
+from risc_control.controllers import default_params
 from risc_experiments.offline import Flight, fly
 from risc_lab.lab.yaml_reader import package_file
-from risc_lab.states import S, States
-from risc_simulator.world import World
 
 LAUNCH = pathlib.Path(package_file("..", "launch"))
 EIGHT, LARGE = str(LAUNCH / "waypoints/eight_4m.yaml"), str(LAUNCH / "fleets/large3.yaml")
@@ -29,31 +28,22 @@ def test_the_eight_in_the_large_net(speed, rmse_m):
 
 
 def test_a_course_that_is_refused_is_left_when_it_is_flown_all_the_same(monkeypatch):
-    wanted = Flight("flat8", vehicles=1, seed=2, fleet=LARGE, course=SMALL8, duration_s=12.0)
-    allowed = fly(Flight(**{**vars(wanted), "speed": "1.6"}))
-    assert allowed.rmse_m.max() < 0.05 and allowed.saturated < 0.1
-    beyond = Flight(**{**vars(wanted), "speed": "2.3"})
+    wanted = Flight("flat8", vehicles=1, fleet=LARGE, course=SMALL8, duration_s=12.0)
+    allowed = [fly(replace(wanted, seed=seed, speed="1.6")) for seed in (1, 2, 3, 4)]
+    assert np.median([result.rmse_m[0] for result in allowed]) < 0.05
+    assert max(result.saturated for result in allowed) < 0.1
+    beyond = replace(wanted, speed="2.3")
     with pytest.raises(ValueError, match="'flat8' cannot be flown by type 'ardrone': .*at --speed 1.6"):
         fly(beyond)
     monkeypatch.setattr(feasibility, "check_course", lambda *_: None)
     result = fly(beyond)
-    assert any(result.landed) or result.rmse_m.max() > 5.0 * allowed.rmse_m.max()
+    assert any(result.landed) or result.rmse_m[0] > 5.0 * allowed[0].rmse_m[0]
 
 
-def test_more_than_half_of_the_error_at_speed_is_the_lag_of_the_velocities(monkeypatch):
-    """Of the small eight on the nominal plant without noise: with true velocities it is 7 mm, not 17 mm."""
+def test_more_than_half_of_the_error_at_speed_was_the_lag_of_the_velocities():
+    """Of the small eight on the nominal plant without noise: 8 mm with the velocities of the controller's observer, 15
+    mm with the estimator's.
+    """
     flight = Flight(SMALL_EIGHT, vehicles=1, speed="1.5", perturbed=False, noise=False, duration_s=12.0)
-    estimated, worlds = fly(flight), []
-
-    def make_world(*args, **options):
-        worlds.append(World(*args, **options))
-        return worlds[-1]
-
-    def with_true_velocities(visible, x):
-        x = x.copy()
-        x[:, S.U : S.PHI] = worlds[-1].truth()[:, S.U : S.PHI]
-        return States(visible, x)
-
-    monkeypatch.setattr(offline, "World", make_world)
-    monkeypatch.setattr(offline, "States", with_true_velocities)
-    assert fly(flight).rmse_m.max() < 0.5 * estimated.rmse_m.max()
+    without = replace(default_params("differential_flatness"), push_m_s3=0.0)
+    assert fly(flight).rmse_m.max() < 0.6 * fly(replace(flight, params=without)).rmse_m.max()

@@ -2,10 +2,12 @@
 
 import json
 import pathlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from risc_control.controllers import default_params
 from risc_experiments import fly as online
 from risc_experiments.estimators import estimator_of
 from risc_experiments.offline import Flight, fly, fly_all, main
@@ -35,16 +37,21 @@ def test_the_thesis_controller_flies_with_the_thesis_estimator_unless_another_is
         "least_squares",
         "least_squares",
     )
-    flight = Flight("circle", vehicles=1, seed=4, psi_deg=115.0, duration_s=10.0, controller=THESIS)
+    flight = Flight("circle", vehicles=1, seed=4, perturbed=False, duration_s=10.0, controller=THESIS)
     own, flattered = fly(flight), fly(Flight(**{**vars(flight), "estimator": "least_squares"}))
     assert own.rmse_m[0] > 1.2 * flattered.rmse_m[0]
 
 
 def test_the_thesis_controller_bears_the_velocities_of_its_own_estimator_which_come_late():
-    """With a larger gain on velocity these perturbed vehicles oscillate until the fence lands them."""
-    results = list(fly_all([Flight("circle", vehicles=1, seed=seed, controller=THESIS) for seed in (2, 3)]))
-    assert [result.landed for result in results] == [(False,), (False,)]
-    assert max(result.rmse_m[0] for result in results) < 0.08
+    """With a larger gain on velocity these perturbed vehicles oscillate until the fence lands them. That they stand off
+    for want of an integral does not count.
+    """
+    flights = [Flight("circle", vehicles=1, seed=seed, controller=THESIS) for seed in (2, 3)]
+    for result in fly_all(flights):
+        errors_m = (result.actual_m - result.reference_m)[result.judged, 0]
+        assert result.landed == (False,) and np.linalg.norm(errors_m.std(axis=0)) < 0.09
+    quick = replace(default_params(THESIS), q_velocity=12.0)
+    assert all(result.landed == (True,) for result in fly_all([replace(f, params=quick) for f in flights]))
 
 
 def test_the_estimator_is_an_argument_of_the_launch_file(capsys):

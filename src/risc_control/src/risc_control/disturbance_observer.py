@@ -184,8 +184,11 @@ def _correct_tilt(tilt, angle_rad, unknown):
     K0, K1, K2, K3 = P[0, 0] * by, P[1, 0] * by, P[2, 0] * by, P[3, 0] * by
     for k in range(4):
         seen = P[0, k]
-        P[0, k], P[1, k], P[2, k], P[3, k] = P[0, k] - K0 * seen, P[1, k] - K1 * seen, P[2, k] - K2 * seen, (
-            P[3, k] - K3 * seen
+        P[0, k], P[1, k], P[2, k], P[3, k] = (
+            P[0, k] - K0 * seen,
+            P[1, k] - K1 * seen,
+            P[2, k] - K2 * seen,
+            (P[3, k] - K3 * seen),
         )
     for row in range(4):  # rounding must not make it lopsided
         for k in range(row):

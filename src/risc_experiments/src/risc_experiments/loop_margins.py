@@ -26,9 +26,10 @@ from risc_control.controllers import default_params
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.offline import Flight, RunningFlight
 from risc_experiments.offline_chain import FRAME_S
+from risc_lab.lab import load_vehicle_type
 
 AXES = ("roll", "pitch", "climb")
-_STILL = {"radius_m": 1e-5}  # of a circle: it hovers
+_STILL = {"trajectory": "circle", "course": {"radius_m": 1e-5}, "psi_deg": 0.0, "perturbed": False, "noise": False}
 _PULSES = {"roll": 0.5, "pitch": 0.5, "climb": 1.0}  # [rad, m/s] for a frame
 _FRAMES = 60  # 0.3 s: whole periods of frames, ticks (15 ms) and commands (30 Hz)
 _DECAY_S = 7.5  # from one pulse to the next
@@ -50,43 +51,39 @@ class Margins(NamedTuple):
 class _Hovering(RunningFlight):
     """A vehicle that hovers, and what its aircraft is told, frame by frame."""
 
-    def __init__(self, flight, bandwidth):
-        super().__init__(flight)
+    def __init__(self, flight):
+        super().__init__(replace(flight, vehicles=1, duration_s=math.inf, **_STILL))
         (self._vehicle,) = self._world.vehicles.values()
-        plant = self._vehicle.plant
-        loops = {axis: _slower(getattr(plant, axis), bandwidth) for axis in ("roll", "pitch")}
-        self._vehicle.change_plant(**loops)
-        self._gains = {axis: loop.gain for axis, loop in loops.items()}
-        self._settled, self.commands = self._vehicle.plant, []
-        self.pulse = False
+        self._settled = self._vehicle.plant
+        self.commands, self.pulse = [], False
 
     def _let_lab_go_on(self):
         if self.pulse:
-            shares = {"%s_level_rad" % axis: gain * _PULSES[axis] for axis, gain in self._gains.items()}
-            self._vehicle.change_plant(climb_bias_m_s=-_PULSES["climb"], **shares)
+            roll_rad, pitch_rad = (getattr(self._settled, axis).gain * _PULSES[axis] for axis in ("roll", "pitch"))
+            pulse = {"roll_level_rad": roll_rad, "pitch_level_rad": pitch_rad, "climb_bias_m_s": -_PULSES["climb"]}
+            self._vehicle.change_plant(**pulse)
         super()._let_lab_go_on()
         if self.pulse:
             self._vehicle.change_plant(**vars(self._settled))
         roll, pitch, _, climb = self._vehicle.firmware.command
         self.commands.append((roll, pitch, climb))
 
-    @property
-    def is_over(self):
-        return False
+
+def slower(vehicle_type, bandwidth):
+    """Flight.plant of attitude loops that are slower than those of their VehicleType."""
+    loops = {"roll": vehicle_type.roll, "pitch": vehicle_type.pitch}
+    return {
+        a: replace(loop, natural_frequency_rad_s=bandwidth * loop.natural_frequency_rad_s) for a, loop in loops.items()
+    }
 
 
-def _slower(loop, bandwidth):
-    return replace(loop, natural_frequency_rad_s=loop.natural_frequency_rad_s * bandwidth)
-
-
-def responses(flight, bandwidth=1.0, on_progress=None):
+def responses(flight, on_progress=None):
     """(k, 3) what the commands of roll, pitch and climb are after a unit pulse of each, from its frame on.
 
-    flight: Flight of one vehicle.  bandwidth: of its attitude loops, over those of its type.
-    on_progress: takes the share that is flown.  Raises ValueError when it does not come to rest between two pulses.
+    flight: Flight, of which one vehicle hovers without noise.  on_progress: takes the share that is flown.
+    Raises ValueError when it does not come to rest between two pulses.
     """
-    still = {"trajectory": "circle", "course": _STILL, "vehicles": 1, "perturbed": False, "noise": False, "psi_deg": 0.0}
-    running = _Hovering(replace(flight, duration_s=1e6, **still), bandwidth)
+    running = _Hovering(flight)
     between, first = round(_DECAY_S / FRAME_S) // _FRAMES * _FRAMES + 1, round(_BEFORE_S / FRAME_S)
     starts = [first + between * k for k in range(_FRAMES)]
     frames = starts[-1] + between
@@ -152,7 +149,9 @@ def picture(path, per_axis_s, title):
     right.plot(circle.real, circle.imag, color="0.8", linewidth=1.0)
     right.plot(-1.0 + 0.5 * circle.real, 0.5 * circle.imag, color="0.6", linewidth=1.0, linestyle="--", label="|S| = 2")
     right.plot(-1.0, 0.0, "k+")
-    right.set(xlabel="Re L", ylabel="Im L", title="Loop L (Nyquist)", xlim=(-3.0, 1.5), ylim=(-2.2, 2.2), aspect="equal")
+    right.set(
+        xlabel="Re L", ylabel="Im L", title="Loop L (Nyquist)", xlim=(-3.0, 1.5), ylim=(-2.2, 2.2), aspect="equal"
+    )
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend()
@@ -179,7 +178,7 @@ def main(argv=None):
     """Print the margins. Returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="rosrun risc_control loop_margins.py",
-        description="Margins of the whole sampled loop of a hovering vehicle, broken at the aircraft's command, offline.",
+        description="Margins of the whole sampled loop of a hovering vehicle, broken at the command, offline.",
     )
     add = parser.add_argument
     add("--type", default="ardrone", metavar="TYPE", help="of the vehicle (default: ardrone)")
@@ -199,8 +198,9 @@ def main(argv=None):
             raise ValueError("--bandwidth must be greater than 0")
         params = _weights(args.controller, args.set)
         chosen = {"controller": args.controller, "estimator": args.estimator, "params": params}
-        flight = Flight(types=(args.type,), delay_s=args.delay_s, **chosen)
-        found = responses(flight, args.bandwidth, lambda share: progress.show("hovering", bar(share)))
+        plant = slower(load_vehicle_type(args.type), args.bandwidth)
+        flight = Flight(types=(args.type,), delay_s=args.delay_s, plant=plant, **chosen)
+        found = responses(flight, lambda share: progress.show("hovering", bar(share)))
     except (ValueError, RuntimeError) as error:
         progress.clear()
         parser.error(str(error))

@@ -84,6 +84,7 @@ class Flight:
     delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of each vehicle
     psi_deg: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
+    plant: dict = field(default_factory=dict)  # what the true vehicles have otherwise, see PlantParams
     gusts: bool = False
     noise: bool = True  # of the cameras, and of sensors on board
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
@@ -186,6 +187,8 @@ class RunningFlight:
         flight, templates = self._flight, load_templates(fleet=fleet)
         how = {"seed": flight.seed, "perturbed": flight.perturbed, "gusts": flight.gusts, "step_s": FRAME_S}
         self._world = World(fleet, types, templates, **how)
+        for vehicle in self._world.vehicles.values():
+            vehicle.change_plant(**flight.plant)
         self._cameras = MocapCameras(
             CameraParams.of_arena(fleet.arena) if flight.noise else CameraParams.ideal(),
             seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),

@@ -2,8 +2,8 @@
 
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
-forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain of the tilt, what
-pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
+forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain of the tilt,
+what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).

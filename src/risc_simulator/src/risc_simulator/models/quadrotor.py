@@ -4,7 +4,7 @@ State (12, n): one row per quantity (enum X), one column per vehicle. Position i
 axes (forward, right, down); angles are NED Euler angles (roll + right wing down, pitch + nose up, yaw + clockwise from
 above). Input (9, n): enum U. What a vehicle is: a record that has QUADROTOR_FIELDS among others.
 
-The loops: commanded angle c gives angle'' = wn^2 (gain c + level - angle) - 2 zeta wn angle', where level is the error of
+The loops: commanded angle c gives angle'' = wn^2 (gain c + level - angle) - 2 zeta wn angle', level being the error of
 what the vehicle takes for level; yaw rate and vertical speed follow their commands as first-order lags.
 """
 
@@ -71,7 +71,11 @@ def climb_thrust(x, inputs, body):
     sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
     st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
     climb_m_s = x[X.U] * st - x[X.V] * sf * ct - x[X.W] * cf * ct
-    up_m_s2 = (inputs[U.CLIMB] - felt_climb(climb_m_s, body)) / body.climb_time_constant_s + inputs[U.CLIMB_TRIM] + GRAVITY_M_S2
+    up_m_s2 = (
+        (inputs[U.CLIMB] - felt_climb(climb_m_s, body)) / body.climb_time_constant_s
+        + inputs[U.CLIMB_TRIM]
+        + GRAVITY_M_S2
+    )
     return min(max(body.nominal_mass_kg * up_m_s2 / (cf * ct), body.thrust_min_n), body.thrust_max_n)
 
 
