@@ -1,9 +1,7 @@
 #!/usr/bin/env python3
-"""Margins of the control loop: see risc_experiments.loop_margins, which flies it offline."""
+"""Margins of the control loop: risc_experiments.loop_margins, which flies it offline, by a name for rosrun."""
 
-import sys
-
-from risc_experiments.loop_margins import main
+import runpy
 
 if __name__ == "__main__":
-    sys.exit(main())
+    runpy.run_module("risc_experiments.loop_margins", run_name="__main__", alter_sys=True)

@@ -22,10 +22,10 @@ import numpy as np
 from data_extraction.plots import plt
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
-from risc_control.controllers import default_params
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.offline import Flight, RunningFlight
 from risc_experiments.offline_chain import FRAME_S
+from risc_experiments.option_types import add_set_option, params_with
 from risc_lab.lab import load_vehicle_type
 
 AXES = ("roll", "pitch", "climb")
@@ -160,20 +160,6 @@ def picture(path, per_axis_s, title):
     plt.close(figure)
 
 
-def _weights(controller, changes):
-    """The controller's parameters with these ("KEY=NUMBER"). Raises ValueError."""
-    params, told = default_params(controller), {}
-    for change in changes:
-        key, is_given, value = change.partition("=")
-        if not is_given or not hasattr(params, key):
-            raise ValueError("--set %s: give KEY=NUMBER with a parameter of %s" % (change, controller))
-        try:
-            told[key] = float(value)
-        except ValueError:
-            raise ValueError("--set %s: %r is no number" % (change, value)) from None
-    return replace(params, **told)
-
-
 def main(argv=None):
     """Print the margins. Returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -187,8 +173,7 @@ def main(argv=None):
         help="of the aircraft's attitude loops, over what the controller believes (default: 1)")  # fmt: skip
     add("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
     add_option(add)
-    add("--set", action="append", default=[], metavar="KEY=NUMBER", help="another parameter of the controller; may be "
-        "given again")  # fmt: skip
+    add_set_option(add)
     add("--json", action="store_true", help="print JSON: the worse of roll and pitch, and each axis")
     add("--plot", type=pathlib.Path, metavar="FILE", help="draw |S| and the loop (.png, .pdf)")
     args = parser.parse_args(argv)
@@ -196,8 +181,8 @@ def main(argv=None):
     try:
         if not args.bandwidth > 0.0:
             raise ValueError("--bandwidth must be greater than 0")
-        params = _weights(args.controller, args.set)
-        chosen = {"controller": args.controller, "estimator": args.estimator, "params": params}
+        chosen = {"controller": args.controller, "estimator": args.estimator}
+        chosen["params"] = params_with(args.controller, args.set)
         plant = slower(load_vehicle_type(args.type), args.bandwidth)
         flight = Flight(types=(args.type,), delay_s=args.delay_s, plant=plant, **chosen)
         found = responses(flight, lambda share: progress.show("hovering", bar(share)))

@@ -42,6 +42,7 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S, TICK_EVERY, Chain, step_chains
 from risc_experiments.offline_outcome import breaches_of, contacts_of, judge_faults, left_course_s
 from risc_experiments.on_board import OnBoardReadings
+from risc_experiments.option_types import add_set_option, params_with
 from risc_experiments.option_types import course as course_option
 from risc_experiments.option_types import speed as speed_option
 from risc_experiments.workers import in_order
@@ -484,6 +485,7 @@ def main(argv=None):
     add("--psi", type=float, metavar="DEG", help="constant yaw (default: another for every seed)")
     add("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
     add_option(add)
+    add_set_option(add)
     add("--ideal", action="store_false", help="the plant is exactly the nominal model", dest="perturbed")
     add("--gusts", action="store_true")
     add("--fault", type=fault_option, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", dest="faults",
@@ -498,6 +500,10 @@ def main(argv=None):
         return 0
     common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts", "speed")
     common = {name: getattr(args, name) for name in common}
+    try:
+        common["params"] = params_with(args.controller, args.set)
+    except ValueError as error:
+        parser.error(str(error))
     flights = [
         Flight(course, seed=seed, delay_s=delay_s, psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
                faults=tuple(args.faults), **common)

@@ -3,7 +3,9 @@
 import argparse
 import math
 import pathlib
+from dataclasses import replace
 
+from risc_control.controllers import default_params
 from risc_control.trajectories import COURSES, find_course, parse_speed
 
 
@@ -42,3 +44,23 @@ def speed(text):
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     return text
+
+
+def add_set_option(add):
+    """Give a parser the option --set; `params_with` says what it means. add: its add_argument."""
+    help_text = "another parameter of the controller, e.g. q_tilt=3; may be given again"
+    add("--set", action="append", default=[], metavar="KEY=NUMBER", help=help_text)
+
+
+def params_with(controller, changes):
+    """PARAMS of a controller by its YAML file, with these changes ("KEY=NUMBER"). Raises ValueError."""
+    params, numbers = default_params(controller), {}
+    for change in changes:
+        key, _, value = change.partition("=")
+        if not hasattr(params, key):
+            raise ValueError("--set %s: give KEY=NUMBER with a parameter of %s" % (change, controller))
+        try:
+            numbers[key] = float(value)
+        except ValueError:
+            raise ValueError("--set %s: %r is no number" % (change, value)) from None
+    return replace(params, **numbers)
