@@ -1,6 +1,7 @@
-"""The disturbance observer: what it knows of tilt and rate, level, gain and push; what it does not believe."""
+"""The disturbance observer: what it knows of tilt and rate, level, gain, lag and push; what it does not believe."""
 
 import math
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from risc_control.controllers.differential_flatness import Params
 from risc_control.delay_prediction import discretised, loops, plants
-from risc_control.disturbance_observer import observe, observer, unseen
+from risc_control.disturbance_observer import LAG_S, observe, observer, unseen
 from risc_lab.command_history import CHANNELS, Channel
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
@@ -22,21 +23,26 @@ FRAME_S = 0.005
 
 
 class Flyer:
-    """A vehicle whose loops are those of the model, with a level, gains and a push of its own, heading north."""
+    """A vehicle whose loops are those of the model, with a level, gains and a push of its own, heading north.
 
-    def __init__(self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), seed=0):
+    later_s: so much later commands act.
+    """
+
+    def __init__(self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), later_s=0.0, seed=0):
         (self._steps,), self.unknown = observer([ARDRONE], params)
         self.observed = unseen(1)[0]
         self._A, self._b = (part[:2] for part in loops(ARDRONE))
         self.level, self.gain, self.push = np.array(level), np.array(gain), np.array(push)
         self.tilt, self.place, self.velocity = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
+        self._commands, self._later = deque([np.zeros(2)] * 401, 401), round(later_s / 0.0005)
         self.time_s, self._rng = 100.0, np.random.default_rng(seed)
 
     def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0)):
         """Fly on under a command (roll, pitch), and be seen, farther away by shown_m."""
         for _ in range(round(interval_s / 0.0005)):
             Phi, Gamma = discretised(self._A, self._b, 0.0005)
-            driven = self.gain * command + self.level
+            self._commands.append(command)
+            driven = self.gain * self._commands[-1 - self._later] + self.level
             before = self._acceleration()
             self.tilt = np.matmul(Phi, self.tilt[..., None])[..., 0] + Gamma * driven[:, None]
             mean = 0.5 * (before + self._acceleration())
@@ -46,10 +52,10 @@ class Flyer:
         if seen:
             angles = self.tilt[:, 0] + angle_noise_rad * self._rng.standard_normal(2)
             way = (*(self.place + shown_m), *self.velocity)
-            told = np.zeros(CHANNELS)
-            told[: Channel.CLIMB] = command
+            told, earlier = np.zeros((2, CHANNELS))
+            told[: Channel.CLIMB], earlier[: Channel.CLIMB] = command, self._commands[-1 - round(LAG_S / 0.0005)]
             tilt = (*angles, *self.tilt[:, 1])
-            observe(self.observed, self.time_s, tilt, way, told, 0.0, 0.0, PLANT, self._steps, self.unknown[0])
+            observe(self.observed, self.time_s, tilt, way, told, earlier, 0.0, 0.0, PLANT, self._steps, self.unknown[0])
 
     def _acceleration(self):
         phi, theta = self.tilt[:, 0]
@@ -66,10 +72,10 @@ class Flyer:
 
     @property
     def learnt(self):
-        """(level, gain, push), of two axes each."""
+        """(level, gain, push, lag), of two axes each."""
         o = self.observed
         return np.array([(o.phi.level_rad, o.theta.level_rad), (o.phi.gain, o.theta.gain),
-                         (o.north.push_m_s2, o.east.push_m_s2)])  # fmt: skip
+                         (o.north.push_m_s2, o.east.push_m_s2), (o.phi.lag, o.theta.lag)])  # fmt: skip
 
 
 def waving(k, size_rad=0.1):
@@ -96,10 +102,35 @@ def test_it_learns_level_gain_and_push_at_any_rate(interval_s):
     flyer = Flyer(level=(0.01, -0.02), gain=(0.85, 1.1), push=(0.3, 0.0))
     for k in range(round(40.0 / interval_s)):
         flyer.step(waving(k * interval_s / FRAME_S), interval_s)
-    level, gain, push = flyer.learnt
+    level, gain, push, lag = flyer.learnt
     assert level == pytest.approx((0.01, -0.02), abs=0.002)
     assert gain == pytest.approx((-0.15, 0.1), abs=0.03)
     assert push == pytest.approx((0.3, 0.0), abs=0.02)
+    assert lag == pytest.approx((0.0, 0.0), abs=0.05)
+
+
+@pytest.mark.parametrize("later_s", [0.02, 0.06])
+def test_it_learns_how_late_the_link_is(later_s):
+    flyer = Flyer(later_s=later_s)
+    for k in range(6000):
+        flyer.step(waving(k))
+    assert LAG_S * flyer.learnt[3] == pytest.approx((later_s, later_s), rel=0.25)
+    assert abs(flyer.learnt[1]).max() < 0.03
+
+
+@pytest.mark.parametrize("slower", [0.8, 1.25])
+def test_it_learns_how_late_another_loop_is(slower):
+    """A loop of another bandwidth and damping lags by 2 zeta / wn."""
+    flyer = Flyer()
+    flyer._A = flyer._A.copy()
+    flyer._b = flyer._b.copy()
+    flyer._A[:, 1, 0] *= slower**2
+    flyer._A[:, 1, 1] *= slower
+    flyer._b[:, 1] *= slower**2
+    lag_s = [2.0 * loop.damping_ratio / loop.natural_frequency_rad_s for loop in (ARDRONE.roll, ARDRONE.pitch)]
+    for k in range(4000):
+        flyer.step(waving(k))
+    assert LAG_S * flyer.learnt[3] == pytest.approx(np.array(lag_s) * (1.0 / slower - 1.0), rel=0.3)
 
 
 def test_a_push_is_known_within_a_second():
@@ -113,18 +144,23 @@ def test_a_push_is_known_within_a_second():
 
 
 def test_what_is_not_to_be_learnt_is_not():
-    flyer = Flyer(replace(PARAMS, level_rad_s=0.0, gain_spread=0.0, push_m_s3=0.0), (0.01, 0.0), (0.9, 1.0), (0.3, 0.0))
+    flyer = Flyer(
+        replace(PARAMS, level_rad_s=0.0, gain_spread=0.0, lag_spread_s=0.0, push_m_s3=0.0),
+        (0.01, 0.0),
+        (0.9, 1.0),
+        (0.3, 0.0),
+    )
     for k in range(600):
         flyer.step(waving(k))
     assert not flyer.learnt.any()
 
 
-def test_without_commands_the_gain_is_not_guessed():
+def test_without_commands_gain_and_lag_are_not_guessed():
     """Its variance stays bounded, however long it hovers."""
     flyer = Flyer(level=(0.01, 0.0))
     for _ in range(4000):
         flyer.step(np.zeros(2), angle_noise_rad=0.01)
-    assert abs(flyer.learnt[1]).max() < 1e-9
+    assert abs(flyer.learnt[1]).max() < 1e-9 and abs(flyer.learnt[3]).max() < 1e-9
     assert flyer.observed.phi.P[3, 3] <= PARAMS.gain_spread**2 * (1.0 + 1e-9)
     P = flyer.observed.phi.P
     assert np.array_equal(P, P.T) and np.linalg.eigvalsh(P).min() > 0.0

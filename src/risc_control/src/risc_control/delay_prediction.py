@@ -112,8 +112,9 @@ def stepped(loop, value, rate, command):
 
 
 @compiled
-def fill_in_force(sent, own, plant, stamp_s, commands):
-    """Fill commands (1 + steps, 4): those in force in the step of STEP_S before stamp_s, and in each after it.
+def fill_in_force(sent, own, plant, stamp_s, commands, before=0):
+    """Fill commands (before + 1 + steps, 4): those in force in the step of STEP_S before stamp_s, in each after it, and
+    in so many before it.
 
     sent, own: HISTORY of what the vehicle was really sent, as far as that is known, and of what the controller has
     computed. The first counts up to a command period after the newest of it, when the next one is due. From then on
@@ -125,7 +126,7 @@ def fill_in_force(sent, own, plant, stamp_s, commands):
     known_s = sent.times_s[sent.newest % ROWS] + plant.period_s
     k_sent, k_own = sent.newest, own.newest
     for step in range(len(commands) - 1, -1, -1):
-        time_s = stamp_s + STEP_S * (step - 0.5) - (plant.delay_s - wait_s)
+        time_s = stamp_s + STEP_S * (step - before - 0.5) - (plant.delay_s - wait_s)
         if time_s < known_s:
             k_sent = last_by(sent, time_s, k_sent)
             commands[step] = sent.commands[k_sent % ROWS]

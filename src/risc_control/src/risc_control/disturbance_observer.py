@@ -1,11 +1,13 @@
-"""What a vehicle does that its model does not know: its level, the gain of its tilt, and what pushes it. With its roll,
-pitch and their rates.
+"""What a vehicle does that its model does not know: its level, gain and lag of its tilt, and what pushes it. With its
+roll, pitch and their rates.
 
 Kalman filters on what motion capture says and the commands in force, for each axis:
 
-- tilt: angle, its rate, level and gain: the attitude loop is angle'' = wn^2 ((1 + gain) command + level - angle)
-  - 2 zeta wn angle'. Rates by differencing noisy angles are noisy or late; the model of the attitude loop knows them
-  better. How well the gain is known goes by what is commanded, so this filter carries its covariance.
+- tilt: angle, its rate, level, gain and lag: the attitude loop is angle'' = wn^2 (driven - angle) - 2 zeta wn angle',
+  driven = (1 + gain) command + level + lag (command of LAG_S before - command). So a lag of 1 is LAG_S: of a slower or
+  better damped loop as of a later link, which are much the same below their bandwidth. Rates by differencing noisy
+  angles are noisy or late; the model of the attitude loop knows them better. How well gain and lag are known goes by
+  what is commanded, so this filter carries its covariance.
 - way: position, velocity and the push, an acceleration by which both go otherwise than the tilt explains: wind, drag,
   mass, thrust. It is along north and east, whichever way the vehicle turns. The gains are the steady-state ones for the
   interval between two measurements.
@@ -19,17 +21,19 @@ import math
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from risc_control.delay_prediction import LOOP_STEP, acceleration, discretised, loop_steps, loops
+from risc_control.delay_prediction import LOOP_STEP, STEP_S, acceleration, discretised, loop_steps, loops
 from risc_control.vehicles import clipped
 from risc_lab.command_history import Channel
 from risc_lab.compiled import compiled, record
 
+LAG_STEPS = 20  # of STEP_S
+LAG_S = LAG_STEPS * STEP_S
 _MAX_GAP_S = 0.1  # a longer gap between measurements restarts the filters
 _TABLE_S = 0.0005  # resolution of their step
 _GAIN_EVERY = 10  # of these steps: so finely do the gains of the way go by the interval
 _RATE_RAD_S, _LEVEL_RAD = 1.0, 0.01  # standard deviations of what is not known at first
-_GAIN_S = 300.0  # a gain that no command shows is forgotten with this time constant
-_LEVEL_MAX_RAD, _GAIN_MAX, _PUSH_MAX_M_S2 = 0.1, 0.3, 3.0  # more is something else
+_FORGET_S = 300.0  # a gain and a lag that no command shows are forgotten with this time constant
+_LEVEL_MAX_RAD, _GAIN_MAX, _LAG_MAX, _PUSH_MAX_M_S2 = 0.1, 0.3, 1.2, 3.0  # more is something else
 _FALSE_M, _FALSE_RAD = 0.04, 0.15  # from what is predicted for the next frame
 _FALSE_S = 0.2  # what is false for longer is true
 
@@ -38,10 +42,11 @@ _WAY_GAIN = record("place rate push")
 _AS_MEASURED = 1.0, -1.0, 0.0  # no push is learnt: place and velocity are those that were measured
 # Of a type, by the steps of _TABLE_S since the measurement before.
 STEP = record(("phi", LOOP_STEP), ("theta", LOOP_STEP), ("way", _WAY_GAIN))
-# How much is not known: variance of a measured angle; of what disturbs the rate and the level, per second; of the gain.
-_UNKNOWN = record("angle_rad2 rate_per_s level_per_s gain")
+# How much is not known: variance of a measured angle; of what disturbs rate and level, per second; of gain and lag.
+_UNKNOWN = record("angle_rad2 rate_per_s level_per_s gain lag")
 
-_TILT = record("angle_rad rate_rad_s level_rad gain", ("P", float, (4, 4)))
+_N = 5  # angle, rate, level, gain, lag
+_TILT = record("angle_rad rate_rad_s level_rad gain lag", ("P", float, (_N, _N)))
 _WAY = record("m m_s push_m_s2 tilt_m_s2")  # tilt_m_s2: what tilt and drag explained when it was seen last
 # Of a vehicle. time_s: of the newest measurement; true_s: of the newest that was believed.
 OBSERVED = record(("phi", _TILT), ("theta", _TILT), ("north", _WAY), ("east", _WAY), "time_s true_s")
@@ -59,8 +64,8 @@ def observer(vehicle_types, params):
 
     params: has angle_noise_rad, position_noise_m: standard deviations of what is measured; tilt_disturbance_rad_s2:
     density of what the model of the attitude loop does not know, as an angular acceleration [rad/s^2/sqrt(Hz)];
-    level_rad_s, push_m_s3: densities by which level [rad/s/sqrt(Hz)] and push [m/s^3/sqrt(Hz)] change; gain_spread:
-    standard deviation of the gain. With 0 of one of the last three it is not learnt.
+    level_rad_s, push_m_s3: densities by which level [rad/s/sqrt(Hz)] and push [m/s^3/sqrt(Hz)] change; gain_spread,
+    lag_spread_s: standard deviations of gain and lag. With 0 of one of the last four it is not learnt.
     """
     A, b = (np.stack(part)[:, : Channel.CLIMB] for part in zip(*map(loops, vehicle_types)))
     times_s = _TABLE_S * np.arange(1, round(_MAX_GAP_S / _TABLE_S) + 1)
@@ -73,7 +78,7 @@ def observer(vehicle_types, params):
         steps["way"] = _way_gains(times_s, params.position_noise_m, params.push_m_s3)
     unknown = np.zeros(1, _UNKNOWN)
     deviations = params.angle_noise_rad, params.tilt_disturbance_rad_s2, params.level_rad_s, params.gain_spread
-    unknown[0] = tuple(value**2 for value in deviations)
+    unknown[0] = tuple(value**2 for value in (*deviations, params.lag_spread_s / LAG_S))
     return steps, unknown
 
 
@@ -90,20 +95,20 @@ def _way_gains(times_s, noise_m, push_m_s3):
 
 @compiled
 def forget(observed, unknown):
-    """Level and gain of a vehicle are not those that were learnt: it stood, or did not obey the commands."""
+    """Level, gain and lag of a vehicle are not those that were learnt: it stood, or did not obey the commands."""
     for tilt in (observed.phi, observed.theta):
-        tilt.level_rad = tilt.gain = 0.0
+        tilt.level_rad = tilt.gain = tilt.lag = 0.0
         tilt.P[2:, :] = tilt.P[:, 2:] = 0.0
         tilt.P[2, 2] = _LEVEL_RAD**2 if unknown.level_per_s > 0.0 else 0.0
-        tilt.P[3, 3] = unknown.gain
+        tilt.P[3, 3], tilt.P[4, 4] = unknown.gain, unknown.lag
 
 
 @compiled
-def observe(observed, time_s, tilt, way, command, psi_rad, climb_m_s, plant, steps, unknown):
+def observe(observed, time_s, tilt, way, command, earlier, psi_rad, climb_m_s, plant, steps, unknown):
     """Bring a vehicle's OBSERVED to time_s by what was measured.
 
     tilt: (phi, theta, phi', theta') and way: (north, east, their rates); the rates to start with.
-    command: in force since the last measurement.  steps, unknown: see `observer`.
+    command: in force since the last measurement; earlier: LAG_S before.  steps, unknown: see `observer`.
     """
     since_s = time_s - observed.time_s
     j = np.rint(since_s / _TABLE_S)
@@ -113,8 +118,8 @@ def observe(observed, time_s, tilt, way, command, psi_rad, climb_m_s, plant, ste
     phi, theta, north, east = observed.phi, observed.theta, observed.north, observed.east
     if 1.0 <= j <= len(steps):
         step = steps[int(j) - 1]
-        _step_tilt(phi, step.phi, command[Channel.PHI], since_s, unknown)
-        _step_tilt(theta, step.theta, command[Channel.THETA], since_s, unknown)
+        _step_tilt(phi, step.phi, command[Channel.PHI], earlier[Channel.PHI], since_s, unknown)
+        _step_tilt(theta, step.theta, command[Channel.THETA], earlier[Channel.THETA], since_s, unknown)
         tilt_north, tilt_east = _explained(observed, psi_rad, climb_m_s, command, plant)
         _step_way(north, tilt_north, since_s)
         _step_way(east, tilt_east, since_s)
@@ -139,37 +144,45 @@ def observe(observed, time_s, tilt, way, command, psi_rad, climb_m_s, plant, ste
 
 
 @compiled
+def driven(tilt, command, earlier):
+    """Angle that an axis goes to under a command and that of LAG_S before."""
+    return (1.0 + tilt.gain) * command + tilt.level_rad + tilt.lag * (earlier - command)
+
+
+@compiled
 def _begin(tilt, unknown):
-    """Angle and rate are those that were measured; level and gain stay."""
+    """Angle and rate are those that were measured; what was learnt stays."""
     tilt.P[:2, :] = tilt.P[:, :2] = 0.0
     tilt.P[0, 0], tilt.P[1, 1] = unknown.angle_rad2, _RATE_RAD_S**2
 
 
 @compiled
-def _step_tilt(tilt, loop, command, step_s, unknown):
+def _step_tilt(tilt, loop, command, earlier, step_s, unknown):
     """An axis' tilt, and its covariance, a step later."""
-    driven, P = (1.0 + tilt.gain) * command + tilt.level_rad, tilt.P
+    to_rad, P = driven(tilt, command, earlier), tilt.P
     angle_rad, rate_rad_s = tilt.angle_rad, tilt.rate_rad_s
-    tilt.angle_rad = loop.f11 * angle_rad + loop.f12 * rate_rad_s + loop.g1 * driven
-    tilt.rate_rad_s = loop.f21 * angle_rad + loop.f22 * rate_rad_s + loop.g2 * driven
-    for k in range(4):  # P = F P F', F: rows (f11 f12 g1 g1 u), (f21 f22 g2 g2 u), (0 0 1 0), (0 0 0 1)
-        learnt = P[2, k] + command * P[3, k]
-        first, second = P[0, k], P[1, k]
-        P[0, k] = loop.f11 * first + loop.f12 * second + loop.g1 * learnt
-        P[1, k] = loop.f21 * first + loop.f22 * second + loop.g2 * learnt
-    for k in range(4):
-        learnt = P[k, 2] + command * P[k, 3]
-        first, second = P[k, 0], P[k, 1]
-        P[k, 0] = loop.f11 * first + loop.f12 * second + loop.g1 * learnt
-        P[k, 1] = loop.f21 * first + loop.f22 * second + loop.g2 * learnt
+    tilt.angle_rad = loop.f11 * angle_rad + loop.f12 * rate_rad_s + loop.g1 * to_rad
+    tilt.rate_rad_s = loop.f21 * angle_rad + loop.f22 * rate_rad_s + loop.g2 * to_rad
+    changes = earlier - command
+    for k in range(_N):  # P = F P F'; the learnt part of F's first two rows: (g1, g2) (1 command changes)
+        to_angle = loop.f11 * P[0, k] + loop.f12 * P[1, k]
+        to_rate = loop.f21 * P[0, k] + loop.f22 * P[1, k]
+        learnt = P[2, k] + command * P[3, k] + changes * P[4, k]
+        P[0, k], P[1, k] = to_angle + loop.g1 * learnt, to_rate + loop.g2 * learnt
+    for k in range(_N):
+        to_angle = loop.f11 * P[k, 0] + loop.f12 * P[k, 1]
+        to_rate = loop.f21 * P[k, 0] + loop.f22 * P[k, 1]
+        learnt = P[k, 2] + command * P[k, 3] + changes * P[k, 4]
+        P[k, 0], P[k, 1] = to_angle + loop.g1 * learnt, to_rate + loop.g2 * learnt
     P[1, 1] += unknown.rate_per_s * step_s
     P[2, 2] += unknown.level_per_s * step_s
-    keep = 1.0 - step_s / _GAIN_S
+    keep = 1.0 - step_s / _FORGET_S
     tilt.gain *= keep
-    for k in range(4):
-        P[3, k] *= keep
-        P[k, 3] *= keep
+    tilt.lag *= keep
+    P[3:, :] *= keep
+    P[:, 3:] *= keep
     P[3, 3] += (1.0 - keep * keep) * unknown.gain
+    P[4, 4] += (1.0 - keep * keep) * unknown.lag
 
 
 @compiled
@@ -181,18 +194,13 @@ def _correct_tilt(tilt, angle_rad, unknown):
     tilt.rate_rad_s += P[1, 0] * by * off_rad
     tilt.level_rad = clipped(tilt.level_rad + P[2, 0] * by * off_rad, _LEVEL_MAX_RAD)
     tilt.gain = clipped(tilt.gain + P[3, 0] * by * off_rad, _GAIN_MAX)
-    K0, K1, K2, K3 = P[0, 0] * by, P[1, 0] * by, P[2, 0] * by, P[3, 0] * by
-    for k in range(4):
-        seen = P[0, k]
-        P[0, k], P[1, k], P[2, k], P[3, k] = (
-            P[0, k] - K0 * seen,
-            P[1, k] - K1 * seen,
-            P[2, k] - K2 * seen,
-            (P[3, k] - K3 * seen),
-        )
-    for row in range(4):  # rounding must not make it lopsided
+    tilt.lag = clipped(tilt.lag + P[4, 0] * by * off_rad, _LAG_MAX)
+    for row in range(_N - 1, -1, -1):  # P - P_0 P_0' / (P_00 + R), below and on the diagonal, the first column last
+        for k in range(row, -1, -1):
+            P[row, k] -= by * P[row, 0] * P[k, 0]
+    for row in range(_N):  # rounding must not make it lopsided
         for k in range(row):
-            P[row, k] = P[k, row] = 0.5 * (P[row, k] + P[k, row])
+            P[k, row] = P[row, k]
 
 
 @compiled

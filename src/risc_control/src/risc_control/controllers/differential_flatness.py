@@ -2,8 +2,8 @@
 
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
-forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain of the tilt,
-what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
+forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain and lag of
+the tilt, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -16,7 +16,7 @@ import numpy as np
 
 from risc_control import controllers
 from risc_control.delay_prediction import Motion, fill_in_force, loops, plants, predicted, steps_of
-from risc_control.disturbance_observer import forget, observe, observer, unseen
+from risc_control.disturbance_observer import LAG_S, LAG_STEPS, driven, forget, observe, observer, unseen
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.lqr import lqi_gain, lqr_gain
 from risc_control.reference_buffer import Axis, Order
@@ -54,6 +54,7 @@ class Params(Settings):
     tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
     level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
     gain_spread: NotNegative = 0.1  # of angles over commanded ones; 0: it is not learnt
+    lag_spread_s: NotNegative = 0.05  # of how late they follow; 0: it is not learnt
     position_noise_m: Positive = 0.02  # of a measured position
     push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
 
@@ -158,7 +159,7 @@ def _step(
     steps = np.empty(len(plants), dtype=np.int64)
     for k in range(len(plants)):
         steps[k] = steps_of(age_s + plants[k].delay_s)
-    in_force = np.empty((1 + steps.max(), CHANNELS))
+    in_force = np.empty((LAG_STEPS + 1 + steps.max(), CHANNELS))
     applied = np.zeros((len(kinds), CHANNELS))  # what the vehicles settle at, at our commands
     for i in range(len(kinds)):
         kind, integral, seen = kinds[i], integrals[i], observed[i]
@@ -172,33 +173,34 @@ def _step(
             # a vehicle that is out of sight for a moment keeps its trim
             integral.tilt_was_cut = integral.climb_was_cut = False
             continue
-        under_way = in_force[: 1 + steps[kind]]
-        fill_in_force(sent[i], computed[i], plant, stamp_s, under_way)
+        under_way = in_force[: LAG_STEPS + 1 + steps[kind]]
+        fill_in_force(sent[i], computed[i], plant, stamp_s, under_way, LAG_STEPS)
         tilt = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
         way = x[i, S.X], -x[i, S.Y], x[i, S.U], -x[i, S.V]
-        observe(seen, stamp_s, tilt, way, under_way[0], x[i, S.PSI], x[i, S.W], plant, tables[kind], unknown)
+        now, before = under_way[LAG_STEPS], under_way[0]
+        observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], x[i, S.W], plant, tables[kind], unknown)
         if not x[i, S.Z] > limit.integral_min_height_m:  # it may stand
             forget(seen, unknown)
             seen.north.push_m_s2 = seen.east.push_m_s2 = 0.0
-        roll_level, roll_gain = seen.phi.level_rad, 1.0 + seen.phi.gain
-        pitch_level, pitch_gain = seen.theta.level_rad, 1.0 + seen.theta.gain
-        for k in range(len(under_way)):
-            under_way[k, Channel.PHI] = roll_level + roll_gain * under_way[k, Channel.PHI]
-            under_way[k, Channel.THETA] = pitch_level + pitch_gain * under_way[k, Channel.THETA]
+        for k in range(len(under_way) - 1, LAG_STEPS - 1, -1):
+            now, before = under_way[k], under_way[k - LAG_STEPS]
+            now[Channel.PHI] = driven(seen.phi, now[Channel.PHI], before[Channel.PHI])
+            now[Channel.THETA] = driven(seen.theta, now[Channel.THETA], before[Channel.THETA])
         ahead_s, push = age_s + plant.delay_s, (seen.north.push_m_s2, seen.east.push_m_s2)
-        motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way, *push)
+        motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way[LAG_STEPS:], *push)
         if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
             _integrate(integral, step_s, x[i], present[:, i], limit)
 
         up, climb_cut = _up(motion, ahead[:, i], plant, limit, gain, integral)
-        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral, push)
+        lags_s = LAG_S * seen.theta.lag, LAG_S * seen.phi.lag
+        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral, push, lags_s)
         wanted_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
         if not math.isfinite(forward + right + up + wanted_rate):
             return False
         f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
         wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
-        wanted_roll = (wanted.roll_rad - roll_level) / roll_gain
-        wanted_pitch = (wanted.pitch_rad - pitch_level) / pitch_gain
+        wanted_roll = (wanted.roll_rad - seen.phi.level_rad) / (1.0 + seen.phi.gain)
+        wanted_pitch = (wanted.pitch_rad - seen.theta.level_rad) / (1.0 + seen.theta.gain)
         roll, pitch = clipped(wanted_roll, limit.roll_rad), clipped(wanted_pitch, limit.pitch_rad)
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
@@ -242,9 +244,10 @@ def _integrate(integral, step_s, x, reference, limit):
 
 
 @compiled
-def _horizontal(motion, reference, plant, limit, gain, integral, push):
-    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll. push: north and east, see
-    `predicted`.
+def _horizontal(motion, reference, plant, limit, gain, integral, push, lags_s):
+    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll.
+
+    push: north and east, see `predicted`.  lags_s: so much later follow pitch and roll than the loops of the type.
     """
     cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
@@ -277,21 +280,24 @@ def _horizontal(motion, reference, plant, limit, gain, integral, push):
     i_forward, i_right = _turned(integral.north_m_s, integral.east_m_s, cos_psi, sin_psi)
     return (
         _axis(gain.pitch, i_forward, p_forward, v_forward, tilt_forward, tilt_rate_forward, a_forward, j_forward,
-              s_forward),
-        _axis(gain.roll, i_right, p_right, v_right, tilt_right, tilt_rate_right, a_right, j_right, s_right),
+              s_forward, lags_s[0]),
+        _axis(gain.roll, i_right, p_right, v_right, tilt_right, tilt_rate_right, a_right, j_right, s_right, lags_s[1]),
     )  # fmt: skip
 
 
 @compiled
-def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s):
+def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s, lag_s):
     """Acceleration to command on one axis: feedback of the errors, and what makes the loop follow the reference's a.
 
     integral, position, velocity: errors.  tilt, tilt_rate: accelerations that the vehicle has.  a, j, s: that the
-    reference needs. The attitude loop is a'' = wn^2 (u - a) - 2 zeta wn a'.
+    reference needs. The attitude loop is a'' = wn^2 (u - a) - 2 zeta wn a', and what it needs is commanded lag_s
+    earlier.
     """
     feedback = gain.integral * integral + gain.position * position + gain.velocity * velocity
     feedback += gain.tilt * (a - tilt) + gain.tilt_rate * (j - tilt_rate)
-    return feedback + a + gain.forward_rate_s * j + gain.forward_second_rate_s2 * s
+    first_s = gain.forward_rate_s + lag_s
+    second_s2 = gain.forward_second_rate_s2 + lag_s * (gain.forward_rate_s + 0.5 * lag_s)
+    return feedback + a + first_s * j + second_s2 * s
 
 
 @compiled
