@@ -23,6 +23,7 @@ FRAME_S = 0.005
 
 
 class Flyer:
+    climb_gain, climb_level_m_s = 1.0, 0.0  # of its climb loop
     """A vehicle whose loops are those of the model, with a level, gains and a push of its own, heading north.
 
     later_s: so much later commands act.
@@ -30,6 +31,7 @@ class Flyer:
 
     def __init__(self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), later_s=0.0, seed=0):
         (self._steps,), self.unknown = observer([ARDRONE], params)
+        self.height, self.climb, self._climbs = 0.0, 0.0, deque([0.0] * 401, 401)
         self.observed = unseen(1)[0]
         self._A, self._b = (part[:2] for part in loops(ARDRONE))
         self.level, self.gain, self.push = np.array(level), np.array(gain), np.array(push)
@@ -37,11 +39,15 @@ class Flyer:
         self._commands, self._later = deque([np.zeros(2)] * 401, 401), round(later_s / 0.0005)
         self.time_s, self._rng = 100.0, np.random.default_rng(seed)
 
-    def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0)):
-        """Fly on under a command (roll, pitch), and be seen, farther away by shown_m."""
+    def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0), climb_m_s=0.0):
+        """Fly on under a command (roll, pitch; climb), and be seen, farther away by shown_m."""
         for _ in range(round(interval_s / 0.0005)):
             Phi, Gamma = discretised(self._A, self._b, 0.0005)
             self._commands.append(command)
+            self._climbs.append(climb_m_s)
+            wanted_m_s = self.climb_gain * self._climbs[-1 - self._later] + self.climb_level_m_s
+            self.climb += 0.0005 * (wanted_m_s - self.climb) / ARDRONE.climb_time_constant_s
+            self.height += 0.0005 * self.climb
             driven = self.gain * self._commands[-1 - self._later] + self.level
             before = self._acceleration()
             self.tilt = np.matmul(Phi, self.tilt[..., None])[..., 0] + Gamma * driven[:, None]
@@ -51,11 +57,13 @@ class Flyer:
         self.time_s += interval_s
         if seen:
             angles = self.tilt[:, 0] + angle_noise_rad * self._rng.standard_normal(2)
-            way = (*(self.place + shown_m), *self.velocity)
+            way = (*(self.place + shown_m), self.height, *self.velocity, self.climb)
             told, earlier = np.zeros((2, CHANNELS))
-            told[: Channel.CLIMB], earlier[: Channel.CLIMB] = command, self._commands[-1 - round(LAG_S / 0.0005)]
+            late = -1 - round(LAG_S / 0.0005)
+            told[: Channel.CLIMB], earlier[: Channel.CLIMB] = command, self._commands[late]
+            told[Channel.CLIMB], earlier[Channel.CLIMB] = climb_m_s, self._climbs[late]
             tilt = (*angles, *self.tilt[:, 1])
-            observe(self.observed, self.time_s, tilt, way, told, earlier, 0.0, 0.0, PLANT, self._steps, self.unknown[0])
+            observe(self.observed, self.time_s, tilt, way, told, earlier, 0.0, PLANT, self._steps, self.unknown)
 
     def _acceleration(self):
         phi, theta = self.tilt[:, 0]
@@ -64,17 +72,17 @@ class Flyer:
 
     @property
     def angles(self):
-        return np.array([self.observed.phi.angle_rad, self.observed.theta.angle_rad])
+        return np.array([self.observed.phi.value, self.observed.theta.value])
 
     @property
     def rates(self):
-        return np.array([self.observed.phi.rate_rad_s, self.observed.theta.rate_rad_s])
+        return np.array([self.observed.phi.rate, self.observed.theta.rate])
 
     @property
     def learnt(self):
         """(level, gain, push, lag), of two axes each."""
         o = self.observed
-        return np.array([(o.phi.level_rad, o.theta.level_rad), (o.phi.gain, o.theta.gain),
+        return np.array([(o.phi.level, o.theta.level), (o.phi.gain, o.theta.gain),
                          (o.north.push_m_s2, o.east.push_m_s2), (o.phi.lag, o.theta.lag)])  # fmt: skip
 
 
@@ -116,6 +124,17 @@ def test_it_learns_how_late_the_link_is(later_s):
         flyer.step(waving(k))
     assert LAG_S * flyer.learnt[3] == pytest.approx((later_s, later_s), rel=0.25)
     assert abs(flyer.learnt[1]).max() < 0.03
+
+
+def test_it_learns_of_the_climb_loop_too():
+    flyer = Flyer(later_s=0.03)
+    flyer.climb_gain, flyer.climb_level_m_s = 0.9, 0.02
+    for k in range(6000):
+        flyer.step(np.zeros(2), climb_m_s=0.3 * math.sin(0.8 * FRAME_S * k))
+    height = flyer.observed.height
+    assert height.gain == pytest.approx(-0.1, abs=0.03) and height.level == pytest.approx(0.02, abs=0.01)
+    assert LAG_S * height.lag == pytest.approx(0.03, abs=0.015)
+    assert height.rate == pytest.approx(flyer.climb, abs=0.005)
 
 
 @pytest.mark.parametrize("slower", [0.8, 1.25])
@@ -174,6 +193,7 @@ def test_it_starts_from_the_measurement_and_again_after_a_gap():
     flyer.step(waving(400), 0.5)
     assert (flyer.angles == flyer.tilt[:, 0]).all() and (flyer.rates == flyer.tilt[:, 1]).all()
     assert (flyer.observed.north.m, flyer.observed.north.m_s) == (flyer.place[0], flyer.velocity[0])
+    assert (flyer.observed.height.value, flyer.observed.height.rate) == (flyer.height, flyer.climb)
     assert flyer.learnt == pytest.approx(before, abs=1e-12), "what it has learnt stays"
 
 

@@ -29,7 +29,7 @@ def thesis(types, **params):
 
 
 BOTH = [flatness, thesis]
-UNLEARNT = {"level_rad_s": 0.0, "gain_spread": 0.0, "lag_spread_s": 0.0, "push_m_s3": 0.0}
+UNLEARNT = {"level_rad_s": 0.0, "climb_level_m_s2": 0.0, "gain_spread": 0.0, "lag_spread_s": 0.0, "push_m_s3": 0.0}
 YAWS_DEG = [0, 45, 90, 135, 180, -60, -120]
 DT_S = 0.005
 

@@ -165,9 +165,9 @@ def steps_of(horizon_s):
 
 
 @compiled
-def acceleration(phi_rad, theta_rad, psi_rad, up_m_s, command, plant):
+def acceleration(phi_rad, theta_rad, psi_rad, up_m_s, climb, plant):
     """North, east and up [m/s^2]: the climb loop gives the vertical one, the tilt (g + a_up) tan(tilt) along it."""
-    a_up = climb_acceleration(command[Channel.CLIMB], up_m_s, plant.climb)
+    a_up = climb_acceleration(climb, up_m_s, plant.climb)
     a_forward = -(GRAVITY_M_S2 + a_up) * math.tan(theta_rad)
     a_right = (GRAVITY_M_S2 + a_up) * math.tan(phi_rad) / math.cos(theta_rad)
     cos_psi, sin_psi = math.cos(psi_rad), math.sin(psi_rad)
@@ -192,7 +192,7 @@ def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east
     phi, theta, psi = motion.phi_rad, motion.theta_rad, motion.psi_rad
     phi_rate, theta_rate, psi_rate = motion.phi_rate_rad_s, motion.theta_rate_rad_s, motion.psi_rate_rad_s
     command = commands[1]
-    a_north, a_east, a_up = acceleration(phi, theta, psi, v_up, command, plant)
+    a_north, a_east, a_up = acceleration(phi, theta, psi, v_up, command[Channel.CLIMB], plant)
     for k in range(1, steps + 1):
         phi, phi_rate = stepped(plant.phi, phi, phi_rate, command[Channel.PHI])
         theta, theta_rate = stepped(plant.theta, theta, theta_rate, command[Channel.THETA])
@@ -200,7 +200,7 @@ def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east
         up, v_up = stepped(plant.height, up, v_up, command[Channel.CLIMB])
         command = commands[min(k + 1, steps)]
         before_north, before_east = a_north, a_east
-        a_north, a_east, a_up = acceleration(phi, theta, psi, v_up, command, plant)
+        a_north, a_east, a_up = acceleration(phi, theta, psi, v_up, command[Channel.CLIMB], plant)
         north += dt * v_north + dt * dt * (before_north / 3.0 + a_north / 6.0 - drag_north / 2.0)
         east += dt * v_east + dt * dt * (before_east / 3.0 + a_east / 6.0 - drag_east / 2.0)
         v_north += dt * (0.5 * (before_north + a_north) - drag_north)

@@ -3,7 +3,7 @@
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
 forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain and lag of
-the tilt, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
+tilt and climb, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -53,7 +53,10 @@ class Params(Settings):
     angle_noise_rad: Positive = 0.01  # of a measured roll or pitch, for the observer; see `disturbance_observer`
     tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
     level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
-    gain_spread: NotNegative = 0.1  # of angles over commanded ones; 0: it is not learnt
+    height_noise_m: Positive = 0.005  # of a measured height
+    climb_disturbance_m_s2: Positive = 0.15  # [m/s^2/sqrt(Hz)] what the climb model does not know
+    climb_level_m_s2: NotNegative = 0.02  # [m/s^2/sqrt(Hz)] how the climb rate's zero changes; 0: it is not learnt
+    gain_spread: NotNegative = 0.1  # of angles and climb rates over commanded ones; 0: it is not learnt
     lag_spread_s: NotNegative = 0.05  # of how late they follow; 0: it is not learnt
     position_noise_m: Positive = 0.02  # of a measured position
     push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
@@ -147,7 +150,7 @@ def _limits(vehicle_type, params):
 
 @compiled
 def _step(
-    stamp_s, now_s, step_s, kinds, plants, limits, gains, tables, unknowns, observed, integrals, sent, computed, x,
+    stamp_s, now_s, step_s, kinds, plants, limits, gains, tables, unknown, observed, integrals, sent, computed, x,
     usable, autonomous, present, ahead, commands, saturated
 ):  # fmt: skip
     """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
@@ -155,7 +158,7 @@ def _step(
     sent, computed: see `fill_in_force`.  Returns False, and counts nothing as sent, when a number of a vehicle is not
     finite.
     """
-    age_s, unknown = max(0.0, now_s - stamp_s), unknowns[0]
+    age_s = max(0.0, now_s - stamp_s)
     steps = np.empty(len(plants), dtype=np.int64)
     for k in range(len(plants)):
         steps[k] = steps_of(age_s + plants[k].delay_s)
@@ -176,9 +179,9 @@ def _step(
         under_way = in_force[: LAG_STEPS + 1 + steps[kind]]
         fill_in_force(sent[i], computed[i], plant, stamp_s, under_way, LAG_STEPS)
         tilt = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
-        way = x[i, S.X], -x[i, S.Y], x[i, S.U], -x[i, S.V]
+        way = x[i, S.X], -x[i, S.Y], x[i, S.Z], x[i, S.U], -x[i, S.V], x[i, S.W]
         now, before = under_way[LAG_STEPS], under_way[0]
-        observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], x[i, S.W], plant, tables[kind], unknown)
+        observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], plant, tables[kind], unknown)
         if not x[i, S.Z] > limit.integral_min_height_m:  # it may stand
             forget(seen, unknown)
             seen.north.push_m_s2 = seen.east.push_m_s2 = 0.0
@@ -186,6 +189,7 @@ def _step(
             now, before = under_way[k], under_way[k - LAG_STEPS]
             now[Channel.PHI] = driven(seen.phi, now[Channel.PHI], before[Channel.PHI])
             now[Channel.THETA] = driven(seen.theta, now[Channel.THETA], before[Channel.THETA])
+            now[Channel.CLIMB] = driven(seen.height, now[Channel.CLIMB], before[Channel.CLIMB])
         ahead_s, push = age_s + plant.delay_s, (seen.north.push_m_s2, seen.east.push_m_s2)
         motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way[LAG_STEPS:], *push)
         if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
@@ -199,18 +203,20 @@ def _step(
             return False
         f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
         wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
-        wanted_roll = (wanted.roll_rad - seen.phi.level_rad) / (1.0 + seen.phi.gain)
-        wanted_pitch = (wanted.pitch_rad - seen.theta.level_rad) / (1.0 + seen.theta.gain)
+        wanted_roll = (wanted.roll_rad - seen.phi.level) / (1.0 + seen.phi.gain)
+        wanted_pitch = (wanted.pitch_rad - seen.theta.level) / (1.0 + seen.theta.gain)
         roll, pitch = clipped(wanted_roll, limit.roll_rad), clipped(wanted_pitch, limit.pitch_rad)
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
-        commands[3, i] = thrust_at_tilt(f.up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
+        # what the climb loop makes of it is up
+        told = _told_up(up, motion.up_m_s, ahead[:, i], plant.climb, seen.height)
+        commands[3, i] = thrust_at_tilt(f.up + told - up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
         integral.tilt_was_cut = shortened or roll != wanted_roll or pitch != wanted_pitch
         integral.climb_was_cut = climb_cut
         saturated[i] = integral.tilt_was_cut or climb_cut or yaw_rate != wanted_rate
         if autonomous[i]:
             applied[i, Channel.PHI], applied[i, Channel.THETA], applied[i, Channel.YAW_RATE] = roll, pitch, yaw_rate
-            applied[i, Channel.CLIMB] = climb_command(up, motion.up_m_s, plant.climb)
+            applied[i, Channel.CLIMB] = climb_command(told, motion.up_m_s, plant.climb)
     for i in range(len(kinds)):
         append_command(computed[i], now_s, applied[i])
     return True
@@ -220,8 +226,8 @@ def _step(
 def _motion(x, seen):
     """Motion of a vehicle by its state; roll and pitch as they are observed."""
     return Motion(
-        x[S.X], -x[S.Y], x[S.Z], seen.north.m_s, seen.east.m_s, x[S.W],
-        seen.phi.angle_rad, seen.theta.angle_rad, x[S.PSI], seen.phi.rate_rad_s, seen.theta.rate_rad_s, x[S.R], 0.0,
+        x[S.X], -x[S.Y], x[S.Z], seen.north.m_s, seen.east.m_s, seen.height.rate,
+        seen.phi.value, seen.theta.value, x[S.PSI], seen.phi.rate, seen.theta.rate, x[S.R], 0.0,
     )  # fmt: skip
 
 
@@ -323,6 +329,15 @@ def _up(motion, reference, plant, limit, gain, integral):
     least = climb_acceleration(-plant.climb.most, motion.up_m_s, plant.climb)
     up = most if wanted > most else (least if wanted < least else wanted)
     return up, up != wanted
+
+
+@compiled
+def _told_up(up, climb_m_s, reference, climb, height):
+    """Upward acceleration to ask a climb loop for whose level, gain and lag were learnt, so that it makes this one."""
+    a, j = reference[Order.ACCELERATION, Axis.Z], reference[Order.JERK, Axis.Z]
+    command = climb_command(up, climb_m_s, climb) + LAG_S * height.lag * climb_command(j, a, climb)
+    command = clipped((command - height.level) / (1.0 + height.gain), climb.most)
+    return climb_acceleration(command, climb_m_s, climb)
 
 
 @compiled
