@@ -1,7 +1,7 @@
 """How fast the virtual lab is: `./maap bench world`, with IRIS+s `./maap bench world --type iris`.
 
 World and cameras offline, as fast as they go, on one core: every vehicle is in the air and gets a new setpoint at the
-rate of its radio, as in a flight; plants are perturbed. Then the whole lab in real time, with a client for each vehicle
+rate of its radio, as in a flight; plants are nominal. Then the whole lab in real time, with a client for each vehicle
 in another process: what part of a core it takes.
 """
 
@@ -59,9 +59,9 @@ def make_fleet(count, kind="ardrone"):
 def make_world(count, kind="ardrone", seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
     fleet = make_fleet(count, kind)
-    # nobody corrects what they do: IRIS+ that are not level would fly into each other
-    how = {"seed": seed, "perturbed": kind != "iris"}
-    world = World(fleet, {kind: load_vehicle_type(kind)}, load_templates(fleet=fleet), **how)
+    # nobody corrects what they do: vehicles that are not level would fly into each other
+    types, templates = {kind: load_vehicle_type(kind)}, load_templates(fleet=fleet)
+    world = World(fleet, types, templates, seed=seed, perturbed=False)
     return world, [vehicle.start.position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 

@@ -25,7 +25,7 @@ from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.offline import Flight, RunningFlight
 from risc_experiments.offline_chain import FRAME_S
-from risc_experiments.option_types import add_set_option, params_with
+from risc_experiments.option_types import add_set_option, numbers_of
 from risc_lab.lab import load_vehicle_type
 
 AXES = ("roll", "pitch", "climb")
@@ -182,7 +182,7 @@ def main(argv=None):
         if not args.bandwidth > 0.0:
             raise ValueError("--bandwidth must be greater than 0")
         chosen = {"controller": args.controller, "estimator": args.estimator}
-        chosen["params"] = params_with(args.controller, args.set)
+        chosen["params"] = numbers_of(args.controller, args.set)
         plant = slower(load_vehicle_type(args.type), args.bandwidth)
         flight = Flight(types=(args.type,), delay_s=args.delay_s, plant=plant, **chosen)
         found = responses(flight, lambda share: progress.show("hovering", bar(share)))

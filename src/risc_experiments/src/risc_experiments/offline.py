@@ -23,7 +23,7 @@ import numpy as np
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
-from risc_control.controllers import ControlLoop, own_params
+from risc_control.controllers import ControlLoop, default_params, own_params
 from risc_control.failsafe import fence_of
 from risc_control.feasibility import fleet_course, fleet_ways
 from risc_control.plausibility import Plausibility
@@ -42,7 +42,7 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S, TICK_EVERY, Chain, step_chains
 from risc_experiments.offline_outcome import breaches_of, contacts_of, judge_faults, left_course_s
 from risc_experiments.on_board import OnBoardReadings
-from risc_experiments.option_types import add_set_option, params_with
+from risc_experiments.option_types import add_set_option, numbers_of
 from risc_experiments.option_types import course as course_option
 from risc_experiments.option_types import speed as speed_option
 from risc_experiments.workers import in_order
@@ -90,7 +90,7 @@ class Flight:
     noise: bool = True  # of the cameras, and of sensors on board
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
-    params: object = None  # its PARAMS; None = those of its YAML file
+    params: object = None  # its PARAMS, or {key: number} of what is not as in its YAML file
     fleet: str = ""  # fleet file, of which the first so many fly; "" = one of the shipped ones
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
     overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
@@ -209,7 +209,10 @@ class RunningFlight:
     def _set_up_references_and_control(self, fleet, vehicle_types):
         flight = self._flight
         own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
-        self._loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
+        params = flight.params
+        if isinstance(params, dict):
+            params = replace(default_params(flight.controller), **params)
+        self._loop = ControlLoop(flight.controller, vehicle_types, params, own)
         yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
         chosen, speed = find_course(flight.trajectory), flight.speed or ""
         course, factor = fleet_course(chosen, fleet.vehicles, fleet.arena, speed, yaw, **flight.course)
@@ -501,7 +504,7 @@ def main(argv=None):
     common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts", "speed")
     common = {name: getattr(args, name) for name in common}
     try:
-        common["params"] = params_with(args.controller, args.set)
+        common["params"] = numbers_of(args.controller, args.set)
     except ValueError as error:
         parser.error(str(error))
     flights = [

@@ -47,13 +47,13 @@ def speed(text):
 
 
 def add_set_option(add):
-    """Give a parser the option --set; `params_with` says what it means. add: its add_argument."""
+    """Give a parser the option --set; `numbers_of` says what it means. add: its add_argument."""
     help_text = "another parameter of the controller, e.g. q_tilt=3; may be given again"
     add("--set", action="append", default=[], metavar="KEY=NUMBER", help=help_text)
 
 
-def params_with(controller, changes):
-    """PARAMS of a controller by its YAML file, with these changes ("KEY=NUMBER"). Raises ValueError."""
+def numbers_of(controller, changes):
+    """{key: number} of "KEY=NUMBER"s, which are parameters of a controller. Raises ValueError."""
     params, numbers = default_params(controller), {}
     for change in changes:
         key, _, value = change.partition("=")
@@ -63,4 +63,5 @@ def params_with(controller, changes):
             numbers[key] = float(value)
         except ValueError:
             raise ValueError("--set %s: %r is no number" % (change, value)) from None
-    return replace(params, **numbers)
+    replace(params, **numbers)  # checks limits
+    return numbers

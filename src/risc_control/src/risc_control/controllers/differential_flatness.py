@@ -150,7 +150,7 @@ def _limits(vehicle_type, params):
 
 @compiled
 def _step(
-    stamp_s, now_s, step_s, kinds, plants, limits, gains, tables, unknown, observed, integrals, sent, computed, x,
+    stamp_s, now_s, step_s, kinds, plants, limits, gains, tables, unknowns, observed, integrals, sent, computed, x,
     usable, autonomous, present, ahead, commands, saturated
 ):  # fmt: skip
     """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
@@ -166,6 +166,7 @@ def _step(
     applied = np.zeros((len(kinds), CHANNELS))  # what the vehicles settle at, at our commands
     for i in range(len(kinds)):
         kind, integral, seen = kinds[i], integrals[i], observed[i]
+        unknown = unknowns[kind]
         plant, limit, gain = plants[kind], limits[kind], gains[kind]
         saturated[i] = False
         if not autonomous[i]:
