@@ -178,6 +178,14 @@ def test_what_is_not_to_be_learnt_is_not():
     for k in range(600):
         flyer.step(waving(k))
     assert not flyer.learnt.any()
+    unlearnt, unknown = flyer._steps, flyer.unknown
+    (flyer._steps,), (flyer.unknown,) = observer([ARDRONE], PARAMS)
+    for k in range(600, 1000):
+        flyer.step(waving(k))
+    assert flyer.learnt[0, 0] > 1e-4 and flyer.learnt[2, 0] > 0.1
+    flyer._steps, flyer.unknown = unlearnt, unknown
+    flyer.step(waving(1000))
+    assert not flyer.learnt.any(), "what is not to be learnt any more is forgotten"
 
 
 def test_without_commands_gain_and_lag_are_not_guessed():

@@ -182,8 +182,17 @@ def _begin(axis, unknown):
 
 @compiled
 def _step_axis(axis, loop, command, earlier, step_s, unknown):
-    """An axis, and its covariance, a step later."""
+    """An axis, and its covariance, a step later. What is not to be learnt any more is forgotten."""
     P, changes = axis.P, earlier - command
+    if unknown.level_per_s == 0.0:
+        axis.level = 0.0
+        P[2, :] = P[:, 2] = 0.0
+    if unknown.gain == 0.0:
+        axis.gain = 0.0
+        P[3, :] = P[:, 3] = 0.0
+    if unknown.lag == 0.0:
+        axis.lag = 0.0
+        P[4, :] = P[:, 4] = 0.0
     axis.value, axis.rate = stepped(loop, axis.value, axis.rate, driven(axis, command, earlier))
     for k in range(_N):  # P = F P F'; the learnt part of F's first two rows: (g1, g2) (1 command changes)
         learnt = P[2, k] + command * P[3, k] + changes * P[4, k]
@@ -243,5 +252,8 @@ def _correct_way(way, place_m, rate_m_s, gain):
     """By a measured place."""
     off_m = place_m - way.m
     way.m += gain.place * off_m
-    way.m_s = rate_m_s if gain.rate < 0.0 else way.m_s + gain.rate * off_m
-    way.push_m_s2 = clipped(way.push_m_s2 + gain.push * off_m, _PUSH_MAX_M_S2)
+    if gain.rate < 0.0:  # _AS_MEASURED
+        way.m_s, way.push_m_s2 = rate_m_s, 0.0
+    else:
+        way.m_s += gain.rate * off_m
+        way.push_m_s2 = clipped(way.push_m_s2 + gain.push * off_m, _PUSH_MAX_M_S2)
