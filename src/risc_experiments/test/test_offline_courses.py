@@ -40,7 +40,7 @@ def test_a_course_that_is_refused_is_left_when_it_is_flown_all_the_same(monkeypa
     assert any(result.landed) or result.rmse_m[0] > 5.0 * allowed[0].rmse_m[0]
 
 
-def test_more_than_half_of_the_error_at_speed_was_the_lag_of_the_velocities():
+def test_much_of_the_error_at_speed_was_the_lag_of_the_velocities():
     """Of the small eight on the nominal plant without noise: 8 mm with the velocities of the controller's observer, 15
     mm with the estimator's.
     """

@@ -176,7 +176,8 @@ def acceleration(phi_rad, theta_rad, psi_rad, up_m_s, climb, plant):
 
 @compiled
 def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east_m_s2=0.0):
-    """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`.
+    """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`, or what they are
+    worth (`disturbance_observer.driven`).
 
     push: acceleration that the model does not know, and that stays.
 

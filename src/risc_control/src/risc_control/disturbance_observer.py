@@ -42,7 +42,7 @@ _MAX_GAP_S = 0.1  # a longer gap between measurements restarts the filters
 _TABLE_S = 0.0005  # resolution of their step
 _GAIN_EVERY = 10  # of these steps: so finely do the gains of the way go by the interval
 _RATE, _LEVEL = 1.0, 0.01  # standard deviations of what is not known at first
-_FORGET_S = 300.0  # a gain and a lag that no command shows are forgotten with this time constant
+_FORGET_S = 300.0  # gain and lag go back to 0 with this time constant, where no command shows them
 _LEVEL_MAX, _GAIN_MAX, _LAG_MAX, _PUSH_MAX_M_S2 = 0.1, 0.3, 1.2, 3.0  # more is something else
 _FALSE_M, _FALSE_RAD = 0.04, 0.15  # from what is predicted for the next frame, in any direction
 _FALSE_S = 0.2  # what is false for longer is true
@@ -75,8 +75,8 @@ def observer(vehicle_types, params):
     params: has angle_noise_rad, height_noise_m, position_noise_m: standard deviations of what is measured;
     tilt_disturbance_rad_s2, climb_disturbance_m_s2: densities of what the models of the loops do not know, as
     accelerations [rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz)]; level_rad_s, push_m_s3: densities by which level [rad/s/sqrt(Hz)]
-    and push [m/s^3/sqrt(Hz)] change; gain_spread, lag_spread_s: standard deviations of gain and lag. With 0 of one of
-    the last four it is not learnt.
+    and push [m/s^3/sqrt(Hz)] change, climb_level_m_s2 that by which the zero of the climb rate does; gain_spread,
+    lag_spread_s: standard deviations of gain and lag. With 0 of one of the last five it is not learnt.
     """
     A, b = (np.stack(part)[:, : Channel.YAW_RATE] for part in zip(*map(loops, vehicle_types)))
     times_s = _TABLE_S * np.arange(1, round(_MAX_GAP_S / _TABLE_S) + 1)
@@ -127,9 +127,12 @@ def _forget(axis, unknown):
 def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps, unknown):
     """Bring a vehicle's OBSERVED to time_s by what was measured.
 
-    tilt: (phi, theta, phi', theta') and way: (north, east, up, their rates); the rates to start with.
+    tilt: (phi, theta, phi', theta') and way: (north, east, up, their rates); the rates to start with. What is not
+    finite counts as not measured.
     command: in force since the last measurement; earlier: LAG_S before.  steps, unknown: see `observer`.
     """
+    if not math.isfinite(sum(tilt) + sum(way) + psi_rad):
+        return
     since_s = time_s - observed.time_s
     j = np.rint(since_s / _TABLE_S)
     observed.time_s = time_s
@@ -146,7 +149,8 @@ def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps
         _step_way(north, tilt_north, since_s)
         _step_way(east, tilt_east, since_s)
         off_m = math.hypot(math.hypot(way[0] - north.m, way[1] - east.m), way[2] - height.value)
-        if off_m < _FALSE_M and max(abs(tilt[0] - phi.value), abs(tilt[1] - theta.value)) < _FALSE_RAD:
+        off_rad = max(abs(tilt[0] - phi.value), abs(tilt[1] - theta.value))
+        if off_m < _FALSE_M and off_rad < _FALSE_RAD:
             _correct_axis(phi, tilt[0], unknown[0])
             _correct_axis(theta, tilt[1], unknown[0])
             _correct_axis(height, way[2], unknown[1])
@@ -187,12 +191,18 @@ def _step_axis(axis, loop, command, earlier, step_s, unknown):
     if unknown.level_per_s == 0.0:
         axis.level = 0.0
         P[2, :] = P[:, 2] = 0.0
+    elif P[2, 2] == 0.0:  # it is to be learnt again
+        P[2, 2] = _LEVEL**2
     if unknown.gain == 0.0:
         axis.gain = 0.0
         P[3, :] = P[:, 3] = 0.0
+    elif P[3, 3] == 0.0:
+        P[3, 3] = unknown.gain
     if unknown.lag == 0.0:
         axis.lag = 0.0
         P[4, :] = P[:, 4] = 0.0
+    elif P[4, 4] == 0.0:
+        P[4, 4] = unknown.lag
     axis.value, axis.rate = stepped(loop, axis.value, axis.rate, driven(axis, command, earlier))
     for k in range(_N):  # P = F P F'; the learnt part of F's first two rows: (g1, g2) (1 command changes)
         learnt = P[2, k] + command * P[3, k] + changes * P[4, k]

@@ -57,7 +57,7 @@ def numbers_of(controller, changes):
     params, numbers = default_params(controller), {}
     for change in changes:
         key, _, value = change.partition("=")
-        if not hasattr(params, key):
+        if key not in vars(params):
             raise ValueError("--set %s: give KEY=NUMBER with a parameter of %s" % (change, controller))
         try:
             numbers[key] = float(value)

@@ -49,7 +49,7 @@ class Params(Settings):
     r_yaw: Positive = 1.0
     error_max_m: Positive = 0.4  # larger position errors count as this long: bounds the speed of a return
     integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
-    integral_min_height_m: Positive = 0.3  # nothing is learnt lower than this: the vehicle may stand
+    integral_min_height_m: Positive = 0.3  # no integration lower than this, and nothing is learnt below half of it
     angle_noise_rad: Positive = 0.01  # of a measured roll or pitch, for the observer; see `disturbance_observer`
     tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
     level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
@@ -110,7 +110,9 @@ class Controller(controllers.Controller):
         self._stamp_s = -np.inf
 
     def step(self, t, states, reference, params):
-        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
+        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0, level, gain and lag are
+        forgotten, and nothing counts as sent.
+        """
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
         gains, limits, steps, unknown = self.designed
@@ -183,7 +185,7 @@ def _step(
         way = x[i, S.X], -x[i, S.Y], x[i, S.Z], x[i, S.U], -x[i, S.V], x[i, S.W]
         now, before = under_way[LAG_STEPS], under_way[0]
         observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], plant, tables[kind], unknown)
-        if not x[i, S.Z] > limit.integral_min_height_m:  # it may stand
+        if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; who flies low keeps what it knows
             forget(seen, unknown)
             seen.north.push_m_s2 = seen.east.push_m_s2 = 0.0
         for k in range(len(under_way) - 1, LAG_STEPS - 1, -1):
@@ -210,11 +212,11 @@ def _step(
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
         # what the climb loop makes of it is up
-        told = _told_up(up, motion.up_m_s, ahead[:, i], plant.climb, seen.height)
+        told, told_cut = _told_up(up, motion.up_m_s, ahead[:, i], plant.climb, seen.height)
         commands[3, i] = thrust_at_tilt(f.up + told - up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
         integral.tilt_was_cut = shortened or roll != wanted_roll or pitch != wanted_pitch
-        integral.climb_was_cut = climb_cut
-        saturated[i] = integral.tilt_was_cut or climb_cut or yaw_rate != wanted_rate
+        integral.climb_was_cut = climb_cut or told_cut
+        saturated[i] = integral.tilt_was_cut or integral.climb_was_cut or yaw_rate != wanted_rate
         if autonomous[i]:
             applied[i, Channel.PHI], applied[i, Channel.THETA], applied[i, Channel.YAW_RATE] = roll, pitch, yaw_rate
             applied[i, Channel.CLIMB] = climb_command(told, motion.up_m_s, plant.climb)
@@ -334,11 +336,14 @@ def _up(motion, reference, plant, limit, gain, integral):
 
 @compiled
 def _told_up(up, climb_m_s, reference, climb, height):
-    """Upward acceleration to ask a climb loop for whose level, gain and lag were learnt, so that it makes this one."""
+    """(upward acceleration to ask a climb loop for whose level, gain and lag were learnt, so that it makes this one;
+    whether a limit of the loop cut it).
+    """
     a, j = reference[Order.ACCELERATION, Axis.Z], reference[Order.JERK, Axis.Z]
     command = climb_command(up, climb_m_s, climb) + LAG_S * height.lag * climb_command(j, a, climb)
-    command = clipped((command - height.level) / (1.0 + height.gain), climb.most)
-    return climb_acceleration(command, climb_m_s, climb)
+    command = (command - height.level) / (1.0 + height.gain)
+    cut = clipped(command, climb.most)
+    return climb_acceleration(cut, climb_m_s, climb), cut != command
 
 
 @compiled
