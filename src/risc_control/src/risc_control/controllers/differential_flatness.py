@@ -183,6 +183,8 @@ def _step(
         fill_in_force(sent[i], computed[i], plant, stamp_s, under_way, LAG_STEPS)
         tilt = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
         way = x[i, S.X], -x[i, S.Y], x[i, S.Z], x[i, S.U], -x[i, S.V], x[i, S.W]
+        if not math.isfinite(sum(tilt) + sum(way)):
+            return False
         now, before = under_way[LAG_STEPS], under_way[0]
         observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], plant, tables[kind], unknown)
         if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; who flies low keeps what it knows
