@@ -12,14 +12,13 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from std_msgs.msg import Bool
+from unlearnt import UNLEARNT
 
 from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import ControllerReport
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 
 NAMES = ("fluffy_II", "albatross")
-# vehicles that stand still whatever they are told teach nothing
-UNLEARNT = dict.fromkeys(("level_rad_s", "climb_level_m_s2", "gain_spread", "lag_spread_s", "push_m_s3"), 0.0)
 
 
 class Lab:

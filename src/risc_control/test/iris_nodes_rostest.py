@@ -12,6 +12,7 @@ import rostest
 from dynamic_reconfigure.client import Client
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
+from unlearnt import UNLEARNT
 
 from risc_control.vehicles.iris import hover_throttle
 from risc_lab.lab import load_vehicle_type
@@ -29,9 +30,6 @@ COURSES = {
 PLACE_M = (0.1, -0.2, 1.0)  # where the vehicle stands still
 BATTERY_PCT, TELEMETRY_PCT = 50.0, 90
 IRIS = load_vehicle_type("iris")
-
-# a vehicle that stands still whatever it is told teaches nothing
-UNLEARNT = dict.fromkeys(("level_rad_s", "climb_level_m_s2", "gain_spread", "lag_spread_s", "push_m_s3"), 0.0)
 
 
 class Lab:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from unlearnt import UNLEARNT
 
 from risc_control.controllers import ControlLoop, differential_flatness, thesis_lqr
 from risc_control.controllers.differential_flatness import Params
@@ -29,7 +30,6 @@ def thesis(types, **params):
 
 
 BOTH = [flatness, thesis]
-UNLEARNT = {"level_rad_s": 0.0, "climb_level_m_s2": 0.0, "gain_spread": 0.0, "lag_spread_s": 0.0, "push_m_s3": 0.0}
 YAWS_DEG = [0, 45, 90, 135, 180, -60, -120]
 DT_S = 0.005
 
@@ -179,6 +179,64 @@ def test_integral_rests_while_the_command_is_cut():
         update(controller, states(), standing(x=5.0, z=3.0), k * DT_S)
     grown = controller.controller._integrals[0]
     assert math.hypot(grown.north_m_s, grown.east_m_s) < 0.1 and abs(grown.up_m_s) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("axis", "field", "value", "command", "change"),
+    [
+        ("phi", "level", 0.05, "roll", -0.05),  # it leans right by itself: told to lean left
+        ("theta", "level", 0.05, "pitch", -0.05),
+        ("theta", "gain", 0.25, "pitch", 0.0057),  # a fifth less of 0.029, nose down
+        ("north", "push_m_s2", 0.5, "pitch", 0.05),  # pushed ahead: nose up, and more, since it will be ahead
+        ("east", "push_m_s2", 0.5, "roll", -0.05),
+        ("height", "level", 0.1, "climb", -0.1),
+    ],
+)
+def test_what_was_learnt_is_taken_out_of_the_command(axis, field, value, command, change):
+    """The first command after it, before anything of it is seen: its direction, and about how much."""
+
+    def commanded(value):
+        controller = flatness([replace(ARDRONE, command_delay_s=0.0)])
+        update(controller, states(), standing(x=0.02), 0.0)
+        setattr(getattr(controller.controller._observed[0], axis), field, value)
+        controls = update(controller, states(), standing(x=0.02), DT_S).controls
+        unit = adapter_class(ARDRONE).units(ARDRONE)
+        up_m_s2 = controls.thrust_n[0] / ARDRONE.mass_kg - G
+        return {
+            "roll": controls.phi[0] * unit.roll_rad,
+            "pitch": controls.theta[0] * unit.pitch_rad,
+            "climb": up_m_s2 * ARDRONE.climb_time_constant_s,
+        }[command]
+
+    changed = commanded(value) - commanded(0.0)
+    assert 0.5 < changed / change < 5.0
+
+
+def test_what_was_learnt_is_forgotten_where_it_may_not_hold():
+    """When somebody else flies it, low over the floor, and by `reset`; a push is no trim, and stays with the pilot."""
+
+    def learnt(controller):
+        o = controller.controller._observed[0]
+        return [o.phi.level, o.theta.gain, o.height.lag], o.north.push_m_s2
+
+    def taught():
+        controller = flatness([ARDRONE])
+        update(controller, states(), standing(), 0.0)
+        o = controller.controller._observed[0]
+        o.phi.level, o.theta.gain, o.height.lag, o.north.push_m_s2 = 0.02, 0.1, 0.5, 0.3
+        update(controller, states(), standing(), DT_S)
+        assert all(learnt(controller)[0]) and learnt(controller)[1]
+        return controller
+
+    by_hand = taught()
+    update(by_hand, states(), standing(), 2 * DT_S, autonomous=False)
+    assert learnt(by_hand)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-4) and learnt(by_hand)[1] > 0.2
+    low = taught()
+    update(low, states(position=(0, 0, 0.1)), standing(), 2 * DT_S)
+    assert learnt(low) == ([0.0, 0.0, 0.0], 0.0)
+    again = taught()
+    again.controller.reset()
+    assert learnt(again) == ([0.0, 0.0, 0.0], 0.0)
 
 
 def test_weights_can_change_and_wrong_ones_change_nothing():

@@ -110,6 +110,7 @@ class Adapter:
     SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
     NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # of T on /controls, + and -
+    FOLLOWS_CLIMB_RATE = False  # its `climb_loop` is told a climb rate: how it follows can be learnt in flight
 
     def __init__(self, vehicle_type, command_rate_hz):
         """vehicle_type: VehicleType.  command_rate_hz: at which the vehicle is sent commands."""

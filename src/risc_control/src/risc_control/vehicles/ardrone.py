@@ -24,6 +24,7 @@ class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`."""
 
     HOLDS_POSITION = True  # by its bottom camera and its height sensor
+    FOLLOWS_CLIMB_RATE = True
     REPORTS, COMMANDS = "navdata", "cmd_vel"
     TOLD = {
         "ardrone/takeoff": Told("Empty", lambda _: "take-off ordered", each=True),
