@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from risc_control import reference_buffer
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.trajectories import make_course
 
@@ -120,3 +121,14 @@ def test_nothing_known():
     assert buffer.newest_s == -np.inf
     with pytest.raises(ValueError, match="no reference"):
         buffer.at(np.array([0.0]))
+
+
+def test_nothing_is_compiled_in_flight_whatever_the_order_of_an_array():
+    """A message's arrays are views with other strides."""
+    functions = reference_buffer._is_finite, reference_buffer._continues, reference_buffer._evaluate
+    course, buffer = make_course("circle", 2), ReferenceBuffer()
+    before = [len(function.signatures) for function in functions]
+    for k in range(60):
+        buffer.push(k * DT_S, np.ascontiguousarray(course.at(k * DT_S)[:3].swapaxes(0, 1)).swapaxes(0, 1))
+        buffer.at(np.array([k * DT_S]))
+    assert [len(function.signatures) for function in functions] == before

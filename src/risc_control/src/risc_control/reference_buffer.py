@@ -88,7 +88,8 @@ class ReferenceBuffer:
         Returns False, and takes nothing, for a stamp that does not advance (see `ClockGuard`) or a number that is not
         finite.
         """
-        stamp_s, sample = float(stamp_s), np.array(sample, dtype=float)
+        # In this order, whatever the message's: for another one everything would be compiled, or loaded, in flight.
+        stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")
         step = self._guard.look(stamp_s) if _is_finite(sample) else Step.REFUSED
         if step is Step.REFUSED:
             return False
