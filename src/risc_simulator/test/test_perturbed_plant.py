@@ -27,9 +27,19 @@ def numbers(plant):
     for name, value in vars(plant).items():
         of_loop = isinstance(value, AttitudeLoop)
         found |= {"%s.%s" % (name, key): v for key, v in vars(value).items()} if of_loop else {name: value}
-    drawn = draw_plant(ARDRONE, np.random.default_rng(0))
-    fixed = {name for name in vars(plant) if getattr(drawn, name) == getattr(nominal_plant(ARDRONE), name)}
-    return {name: value for name, value in found.items() if name not in fixed}
+    return {name: value for name, value in found.items() if name not in fixed()}
+
+
+@functools.cache
+def fixed():
+    drawn, nominal = draw_plant(ARDRONE, np.random.default_rng(0)), nominal_plant(ARDRONE)
+    return {name for name in vars(nominal) if getattr(drawn, name) == getattr(nominal, name)}
+
+
+@functools.cache
+def table():
+    """(draws, names)"""
+    return np.array([list(numbers(plant).values()) for plant in draws()])
 
 
 def spread_of(name):
@@ -52,7 +62,7 @@ NAMES = list(numbers(nominal_plant(ARDRONE)))
 @pytest.mark.parametrize("name", NAMES)
 def test_spread_around_nominal(name):
     nominal, spread = spread_of(name)
-    values = np.array([numbers(plant)[name] for plant in draws()])
+    values = table()[:, NAMES.index(name)]
     assert values.mean() == pytest.approx(nominal, abs=0.06 * spread)  # 4000 draws: 3.8 sigma of the mean
     assert values.std() == pytest.approx(0.96 * spread, rel=0.05)  # a normal cut at 2 sigma
     assert np.abs(values - nominal).max() <= 2 * spread * (1 + 1e-9)
@@ -60,7 +70,7 @@ def test_spread_around_nominal(name):
 
 def test_all_that_the_file_names_is_drawn_and_independently():
     assert len(NAMES) == 16
-    correlation = np.corrcoef(np.array([list(numbers(plant).values()) for plant in draws()]).T) - np.eye(len(NAMES))
+    correlation = np.corrcoef(table().T) - np.eye(len(NAMES))
     assert np.abs(correlation).max() < 0.08
 
 

@@ -175,19 +175,20 @@ def acceleration(phi_rad, theta_rad, psi_rad, up_m_s, climb, plant):
 
 
 @compiled
-def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east_m_s2=0.0):
+def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east_m_s2=0.0, more_drag_1_s=0.0):
     """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`, or what they are
     worth (`disturbance_observer.driven`).
 
-    push: acceleration that the model does not know, and that stays.
+    push: acceleration that the model does not know, and that stays.  more_drag_1_s: over mass, than that of the type.
 
     The response of the command loops is exact on the grid of STEP_S. The acceleration that they cause is integrated
     once and twice as if it were linear between the grid points. Drag is taken at the initial velocity.
     """
     steps = steps_of(horizon_s)
     dt = STEP_S
-    drag_north = plant.drag_1_s * motion.north_m_s - push_north_m_s2
-    drag_east = plant.drag_1_s * motion.east_m_s - push_east_m_s2
+    drag_1_s = plant.drag_1_s + more_drag_1_s
+    drag_north = drag_1_s * motion.north_m_s - push_north_m_s2
+    drag_east = drag_1_s * motion.east_m_s - push_east_m_s2
     north, east, up = motion.north_m, motion.east_m, motion.up_m
     v_north, v_east, v_up = motion.north_m_s, motion.east_m_s, motion.up_m_s
     phi, theta, psi = motion.phi_rad, motion.theta_rad, motion.psi_rad

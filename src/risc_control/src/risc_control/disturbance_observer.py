@@ -1,5 +1,5 @@
-"""What a vehicle does that its model does not know: its level, gain and lag of tilt and climb, and what pushes it. With
-its roll, pitch and velocity.
+"""What a vehicle does that its model does not know: its level, gain and lag of tilt and climb, its drag, and what pushes
+it. With its roll, pitch and velocity.
 
 Kalman filters on what motion capture says and the commands in force, for each axis:
 
@@ -11,9 +11,12 @@ Kalman filters on what motion capture says and the commands in force, for each a
 - height: the same of a climb loop that follows a climb rate (`Adapter.FOLLOWS_CLIMB_RATE`),
   height'' = (driven - height') / tau. Of a type that is told its thrust nothing is learnt here: its vehicle node trims
   the throttle.
-- way: position, velocity and the push, an acceleration by which both go otherwise than the tilt explains: wind, drag,
+- way: position, velocity and the push, an acceleration by which both go otherwise than tilt and drag explain: wind,
   mass, thrust. It is along north and east, whichever way the vehicle turns. The gains are the steady-state ones for the
   interval between two measurements.
+- drag: by how much it differs from that of the type, one number for both axes: on a circle it turns faster than the push
+  is learnt. As a bias that is estimated apart (B. Friedland, Treatment of bias in recursive filtering, 1969): each way
+  carries its sensitivities, by which it would be elsewhere if there were one more of drag.
 
 A place or a tilt that the vehicle cannot have come to is not believed (exchanged names, say): nothing is learnt of it,
 and when it stays, the filters start there.
@@ -44,13 +47,14 @@ _TABLE_S = 0.0005  # resolution of their step
 _GAIN_EVERY = 10  # of these steps: so finely do the gains of the way go by the interval
 _RATE, _LEVEL = 1.0, 0.01  # standard deviations of what is not known at first
 _FORGET_S = 300.0  # gain and lag go back to 0 with this time constant, where no command shows them
-_LEVEL_MAX, _GAIN_MAX, _LAG_MAX, _PUSH_MAX_M_S2 = 0.1, 0.3, 1.2, 3.0  # more is something else
+_LEVEL_MAX, _GAIN_MAX, _LAG_MAX, _PUSH_MAX_M_S2, _DRAG_MAX_1_S = 0.1, 0.3, 1.2, 3.0, 1.0  # more is something else
 _FALSE_M, _FALSE_RAD = 0.04, 0.15  # from what is predicted for the next frame, in any direction
 _FALSE_S = 0.2  # what is false for longer is true
 
-# Of a way along one axis, by what was measured: on the place, its rate, and the push.
-_WAY_GAIN = record("place rate push")
-_AS_MEASURED = 1.0, -1.0, 0.0  # no push is learnt: place and velocity are those that were measured
+# Of a way along one axis, by what was measured: on the place, its rate, and the push. Variances: of what is measured
+# and not predicted, and of the drag, at first.
+_WAY_GAIN = record("place rate push variance_m2 drag_1_s2")
+_AS_MEASURED = 1.0, -1.0, 0.0, 1.0, 0.0  # no push is learnt: place and velocity are those that were measured
 # Of a type, by the steps of _TABLE_S since the measurement before.
 STEP = record(("phi", LOOP_STEP), ("theta", LOOP_STEP), ("height", LOOP_STEP), ("way", _WAY_GAIN))
 # How much is not known: variance of a measured value; of what disturbs rate and level, per second; of gain and lag.
@@ -58,9 +62,14 @@ _UNKNOWN = record("value rate_per_s level_per_s gain lag")
 
 _N = 5  # value, rate, level, gain, lag
 _AXIS = record("value rate level gain lag", ("P", float, (_N, _N)))
-_WAY = record("m m_s push_m_s2 tilt_m_s2")  # tilt_m_s2: what tilt and drag explained when it was seen last
+# explained_m_s2: what tilt and drag explained when it was seen last; sensitivities: to the drag
+_WAY = record("m m_s push_m_s2 explained_m_s2", "place_m_s rate_m push_m_s")
 # Of a vehicle. time_s: of the newest measurement; true_s: of the newest that was believed.
-OBSERVED = record(("phi", _AXIS), ("theta", _AXIS), ("height", _AXIS), ("north", _WAY), ("east", _WAY), "time_s true_s")
+# drag_1_s: over that of its type, by its mass, and its variance.
+OBSERVED = record(
+    ("phi", _AXIS), ("theta", _AXIS), ("height", _AXIS), ("north", _WAY), ("east", _WAY),
+    "time_s true_s drag_1_s drag_variance",
+)  # fmt: skip
 
 
 def unseen(n):
@@ -77,7 +86,8 @@ def observer(vehicle_types, params):
     tilt_disturbance_rad_s2, climb_disturbance_m_s2: densities of what the models of the loops do not know, as
     accelerations [rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz)]; level_rad_s, push_m_s3: densities by which level [rad/s/sqrt(Hz)]
     and push [m/s^3/sqrt(Hz)] change, climb_level_m_s2 that by which the zero of the climb rate does; gain_spread,
-    lag_spread_s: standard deviations of gain and lag. With 0 of one of the last five it is not learnt.
+    lag_spread_s, drag_spread_1_s: standard deviations of gain, lag and drag. With 0 of one of the last six it is not
+    learnt; and no drag without a push.
     """
     A, b = (np.stack(part)[:, : Channel.YAW_RATE] for part in zip(*map(loops, vehicle_types)))
     times_s = _TABLE_S * np.arange(1, round(_MAX_GAP_S / _TABLE_S) + 1)
@@ -88,6 +98,7 @@ def observer(vehicle_types, params):
     steps["way"] = _AS_MEASURED
     if params.push_m_s3 > 0.0:
         steps["way"] = _way_gains(times_s, params.position_noise_m, params.push_m_s3)
+        steps["way"]["drag_1_s2"] = params.drag_spread_1_s**2
     learnt = params.gain_spread, params.lag_spread_s / LAG_S
     tilt = params.angle_noise_rad, params.tilt_disturbance_rad_s2, params.level_rad_s, *learnt
     height = params.height_noise_m, params.climb_disturbance_m_s2, params.climb_level_m_s2, *learnt
@@ -105,7 +116,8 @@ def _way_gains(times_s, noise_m, push_m_s3):
         Phi, _ = discretised(np.eye(3, k=1), np.zeros(3), times_s[first + _GAIN_EVERY - 1])
         Q = np.diag([0.0, 0.0, push_m_s3**2 * times_s[first + _GAIN_EVERY - 1]]) + 1e-15 * np.eye(3)
         P = solve_discrete_are(Phi.T, np.eye(3)[:, :1], Q, [[noise_m**2]])
-        gains[first : first + _GAIN_EVERY] = tuple(P[:, 0] / (P[0, 0] + noise_m**2))
+        variance_m2 = P[0, 0] + noise_m**2
+        gains[first : first + _GAIN_EVERY] = *(P[:, 0] / variance_m2), variance_m2, 0.0
     return gains
 
 
@@ -147,17 +159,19 @@ def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps
         _step_axis(phi, step.phi, command[Channel.PHI], earlier[Channel.PHI], since_s, unknown[0])
         _step_axis(theta, step.theta, command[Channel.THETA], earlier[Channel.THETA], since_s, unknown[0])
         _step_axis(height, step.height, command[Channel.CLIMB], earlier[Channel.CLIMB], since_s, unknown[1])
-        tilt_north, tilt_east = _explained(observed, psi_rad, command, earlier, plant)
-        _step_way(north, tilt_north, since_s)
-        _step_way(east, tilt_east, since_s)
+        north_m_s2, east_m_s2 = _explained(observed, psi_rad, command, earlier, plant)
+        _step_way(north, north_m_s2, since_s)
+        _step_way(east, east_m_s2, since_s)
+        _keep_drag(observed, step.way, since_s)
         off_m = math.hypot(math.hypot(way[0] - north.m, way[1] - east.m), way[2] - height.value)
         off_rad = max(abs(tilt[0] - phi.value), abs(tilt[1] - theta.value))
         if off_m < _FALSE_M and off_rad < _FALSE_RAD:
             _correct_axis(phi, tilt[0], unknown[0])
             _correct_axis(theta, tilt[1], unknown[0])
             _correct_axis(height, way[2], unknown[1])
-            _correct_way(north, way[0], way[3], step.way)
-            _correct_way(east, way[1], way[4], step.way)
+            more_1_s = _correct_drag(observed, way[0] - north.m, way[1] - east.m, step.way)
+            _correct_way(north, way[0], way[3], more_1_s, step.way)
+            _correct_way(east, way[1], way[4], more_1_s, step.way)
             observed.true_s = time_s
             return
         if time_s - observed.true_s <= _FALSE_S:
@@ -169,7 +183,8 @@ def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps
     _begin(phi, unknown[0])
     _begin(theta, unknown[0])
     _begin(height, unknown[1])
-    north.tilt_m_s2, east.tilt_m_s2 = _explained(observed, psi_rad, command, earlier, plant)
+    north.place_m_s = north.rate_m = north.push_m_s = east.place_m_s = east.rate_m = east.push_m_s = 0.0
+    north.explained_m_s2, east.explained_m_s2 = _explained(observed, psi_rad, command, earlier, plant)
     observed.true_s = time_s
 
 
@@ -247,25 +262,61 @@ def _explained(observed, psi_rad, command, earlier, plant):
     phi_rad, theta_rad, climb_m_s = observed.phi.value, observed.theta.value, observed.height.rate
     climb = driven(observed.height, command[Channel.CLIMB], earlier[Channel.CLIMB])
     north, east, _ = acceleration(phi_rad, theta_rad, psi_rad, climb_m_s, climb, plant)
-    return north - plant.drag_1_s * observed.north.m_s, east - plant.drag_1_s * observed.east.m_s
+    drag_1_s = plant.drag_1_s + observed.drag_1_s
+    return north - drag_1_s * observed.north.m_s, east - drag_1_s * observed.east.m_s
 
 
 @compiled
-def _step_way(way, tilt_m_s2, step_s):
+def _step_way(way, explained_m_s2, step_s):
     """An axis' way, a step later, at whose end tilt and drag explain this acceleration."""
-    m_s2 = way.push_m_s2 + 0.5 * (way.tilt_m_s2 + tilt_m_s2)
-    way.m += step_s * way.m_s + 0.5 * step_s * step_s * m_s2
+    half_s2 = 0.5 * step_s * step_s
+    by_drag = way.push_m_s - way.m_s  # what one more of drag is worth
+    way.place_m_s += step_s * way.rate_m + half_s2 * by_drag
+    way.rate_m += step_s * by_drag
+    m_s2 = way.push_m_s2 + 0.5 * (way.explained_m_s2 + explained_m_s2)
+    way.m += step_s * way.m_s + half_s2 * m_s2
     way.m_s += step_s * m_s2
-    way.tilt_m_s2 = tilt_m_s2
+    way.explained_m_s2 = explained_m_s2
 
 
 @compiled
-def _correct_way(way, place_m, rate_m_s, gain):
-    """By a measured place."""
+def _keep_drag(observed, gain, step_s):
+    """What is known of the drag, a step later. What is not to be learnt any more is forgotten."""
+    if gain.drag_1_s2 == 0.0:
+        observed.drag_1_s = observed.drag_variance = 0.0
+        return
+    if observed.drag_variance == 0.0:
+        observed.drag_variance = gain.drag_1_s2
+    keep = 1.0 - step_s / _FORGET_S
+    observed.drag_1_s *= keep
+    observed.drag_variance = keep * keep * observed.drag_variance + (1.0 - keep * keep) * gain.drag_1_s2
+
+
+@compiled
+def _correct_drag(observed, off_north_m, off_east_m, gain):
+    """How much more drag it is by how far the vehicle is from where it was predicted."""
+    north, east, before_1_s = observed.north, observed.east, observed.drag_1_s
+    seen = (north.place_m_s**2 + east.place_m_s**2) / gain.variance_m2
+    variance = observed.drag_variance / (1.0 + observed.drag_variance * seen)
+    by = variance * (north.place_m_s * off_north_m + east.place_m_s * off_east_m) / gain.variance_m2
+    observed.drag_1_s, observed.drag_variance = clipped(before_1_s + by, _DRAG_MAX_1_S), variance
+    return observed.drag_1_s - before_1_s
+
+
+@compiled
+def _correct_way(way, place_m, rate_m_s, more_1_s, gain):
+    """By a measured place, which has shown that there is more_1_s more drag."""
     off_m = place_m - way.m
     way.m += gain.place * off_m
     if gain.rate < 0.0:  # _AS_MEASURED
         way.m_s, way.push_m_s2 = rate_m_s, 0.0
-    else:
-        way.m_s += gain.rate * off_m
-        way.push_m_s2 = clipped(way.push_m_s2 + gain.push * off_m, _PUSH_MAX_M_S2)
+        return
+    way.m_s += gain.rate * off_m
+    way.push_m_s2 += gain.push * off_m
+    by_m_s = way.place_m_s
+    way.place_m_s -= gain.place * by_m_s
+    way.rate_m -= gain.rate * by_m_s
+    way.push_m_s -= gain.push * by_m_s
+    way.m += way.place_m_s * more_1_s
+    way.m_s += way.rate_m * more_1_s
+    way.push_m_s2 = clipped(way.push_m_s2 + way.push_m_s * more_1_s, _PUSH_MAX_M_S2)

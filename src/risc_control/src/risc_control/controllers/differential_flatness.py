@@ -3,7 +3,7 @@
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
 forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain and lag of
-tilt and climb, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
+tilt and climb, drag, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -60,6 +60,7 @@ class Params(Settings):
     lag_spread_s: NotNegative = 0.05  # of how late they follow; 0: it is not learnt
     position_noise_m: Positive = 0.02  # of a measured position
     push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
+    drag_spread_1_s: NotNegative = 0.2  # of drag over mass; 0: it is not learnt
 
 
 # What bounds the commands of a vehicle; see `Params`.
@@ -196,13 +197,14 @@ def _step(
             now[Channel.THETA] = driven(seen.theta, now[Channel.THETA], before[Channel.THETA])
             now[Channel.CLIMB] = driven(seen.height, now[Channel.CLIMB], before[Channel.CLIMB])
         ahead_s, push = age_s + plant.delay_s, (seen.north.push_m_s2, seen.east.push_m_s2)
-        motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way[LAG_STEPS:], *push)
+        motion = predicted(_motion(x[i], seen), plant, ahead_s, under_way[LAG_STEPS:], *push, seen.drag_1_s)
         if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
             _integrate(integral, step_s, x[i], present[:, i], limit)
 
         up, climb_cut = _up(motion, ahead[:, i], plant, limit, gain, integral)
         lags_s = LAG_S * seen.theta.lag, LAG_S * seen.phi.lag
-        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral, push, lags_s)
+        drag_1_s = plant.drag_1_s + seen.drag_1_s
+        forward, right = _horizontal(motion, ahead[:, i], drag_1_s, limit, gain, integral, push, lags_s)
         wanted_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
         if not math.isfinite(forward + right + up + wanted_rate):
             return False
@@ -255,16 +257,16 @@ def _integrate(integral, step_s, x, reference, limit):
 
 
 @compiled
-def _horizontal(motion, reference, plant, limit, gain, integral, push, lags_s):
+def _horizontal(motion, reference, drag_1_s, limit, gain, integral, push, lags_s):
     """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll.
 
-    push: north and east, see `predicted`.  lags_s: so much later follow pitch and roll than the loops of the type.
+    drag_1_s: over mass.  push: north and east, see `predicted`.  lags_s: so much later follow pitch and roll than the loops of the type.
     """
     cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
-    a_forward, a_right = _tilt_reference(reference, Order.ACCELERATION, plant, cos_psi, sin_psi)
-    j_forward, j_right = _tilt_reference(reference, Order.JERK, plant, cos_psi, sin_psi)
-    s_forward, s_right = _tilt_reference(reference, Order.SNAP, plant, cos_psi, sin_psi)
+    a_forward, a_right = _tilt_reference(reference, Order.ACCELERATION, drag_1_s, cos_psi, sin_psi)
+    j_forward, j_right = _tilt_reference(reference, Order.JERK, drag_1_s, cos_psi, sin_psi)
+    s_forward, s_right = _tilt_reference(reference, Order.SNAP, drag_1_s, cos_psi, sin_psi)
     push_forward, push_right = _turned(push[0], push[1], cos_psi, sin_psi)
     a_forward, a_right = a_forward - push_forward, a_right - push_right
     # ... and in the vehicle's, which turn at psi' (the yaw acceleration is neglected)
@@ -312,11 +314,11 @@ def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s, lag_s):
 
 
 @compiled
-def _tilt_reference(reference, order, plant, cos_psi, sin_psi):
+def _tilt_reference(reference, order, drag_1_s, cos_psi, sin_psi):
     """(forward, right) of a derivative of the reference that the tilt must make: with that of the drag."""
     now, before = reference[order], reference[order - 1]
-    north = now[Axis.X] + plant.drag_1_s * before[Axis.X]
-    east = -now[Axis.Y] - plant.drag_1_s * before[Axis.Y]
+    north = now[Axis.X] + drag_1_s * before[Axis.X]
+    east = -now[Axis.Y] - drag_1_s * before[Axis.Y]
     return _turned(north, east, cos_psi, sin_psi)
 
 
