@@ -19,16 +19,18 @@ OTHER = replace(ARDRONE, roll=replace(ARDRONE.roll, natural_frequency_rad_s=9.0)
 TYPES = [ARDRONE, OTHER]
 PLANT = plants([ARDRONE])[0]
 PARAMS = Params()
+UNLEARNT_DRAG = replace(PARAMS, drag_spread_1_s=0.0)
 FRAME_S = 0.005
+_STEP_S = 0.001  # of the vehicle
 
 
 class Flyer:
-    """A vehicle whose loops are those of the model, with a level, gains and a push of its own, heading north.
+    """A vehicle whose loops are those of the model, with a level, gains, drag and a push of its own, heading north.
 
     later_s: so much later commands act.
     """
 
-    climb_gain, climb_level_m_s = 1.0, 0.0
+    climb_gain, climb_level_m_s, drags = 1.0, 0.0, 1.0
 
     def __init__(self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), later_s=0.0, seed=0):
         (self._steps,), (self.unknown,) = observer([ARDRONE], params)
@@ -37,30 +39,30 @@ class Flyer:
         self._A, self._b = (part[:2] for part in loops(ARDRONE))
         self.level, self.gain, self.push = np.array(level), np.array(gain), np.array(push)
         self.tilt, self.place, self.velocity = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
-        self._commands, self._later = deque([np.zeros(2)] * 401, 401), round(later_s / 0.0005)
+        self._commands, self._later = deque([np.zeros(2)] * 401, 401), round(later_s / _STEP_S)
         self.time_s, self._rng = 100.0, np.random.default_rng(seed)
 
     def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0), climb_m_s=0.0):
         """Fly on under a command (roll, pitch; climb), and be seen, farther away by shown_m."""
-        for _ in range(round(interval_s / 0.0005)):
-            Phi, Gamma = discretised(self._A, self._b, 0.0005)
+        Phi, Gamma = discretised(self._A, self._b, _STEP_S)
+        for _ in range(round(interval_s / _STEP_S)):
             self._commands.append(command)
             self._climbs.append(climb_m_s)
             wanted_m_s = self.climb_gain * self._climbs[-1 - self._later] + self.climb_level_m_s
-            self.climb += 0.0005 * (wanted_m_s - self.climb) / ARDRONE.climb_time_constant_s
-            self.height += 0.0005 * self.climb
+            self.climb += _STEP_S * (wanted_m_s - self.climb) / ARDRONE.climb_time_constant_s
+            self.height += _STEP_S * self.climb
             driven = self.gain * self._commands[-1 - self._later] + self.level
             before = self._acceleration()
             self.tilt = np.matmul(Phi, self.tilt[..., None])[..., 0] + Gamma * driven[:, None]
             mean = 0.5 * (before + self._acceleration())
-            self.place = self.place + 0.0005 * self.velocity + 0.5 * 0.0005**2 * mean
-            self.velocity = self.velocity + 0.0005 * mean
+            self.place = self.place + _STEP_S * self.velocity + 0.5 * _STEP_S**2 * mean
+            self.velocity = self.velocity + _STEP_S * mean
         self.time_s += interval_s
         if seen:
             angles = self.tilt[:, 0] + angle_noise_rad * self._rng.standard_normal(2)
             way = (*(self.place + shown_m), self.height, *self.velocity, self.climb)
             told, earlier = np.zeros((2, CHANNELS))
-            late = -1 - round(LAG_S / 0.0005)
+            late = -1 - round(LAG_S / _STEP_S)
             told[: Channel.CLIMB], earlier[: Channel.CLIMB] = command, self._commands[late]
             told[Channel.CLIMB], earlier[Channel.CLIMB] = climb_m_s, self._climbs[late]
             tilt = (*angles, *self.tilt[:, 1])
@@ -69,7 +71,7 @@ class Flyer:
     def _acceleration(self):
         phi, theta = self.tilt[:, 0]
         by_tilt = np.array([-G * math.tan(theta), G * math.tan(phi) / math.cos(theta)])
-        return by_tilt - ARDRONE.drag_n_s_m / ARDRONE.mass_kg * self.velocity + self.push
+        return by_tilt - self.drags * PLANT.drag_1_s * self.velocity + self.push
 
     @property
     def angles(self):
@@ -169,16 +171,31 @@ def test_a_push_is_known_within_a_second():
     assert flyer.learnt[2] == pytest.approx((0.0, 0.5), abs=0.1)
 
 
+@pytest.mark.parametrize(("drags", "params"), [(3.0, PARAMS), (0.5, PARAMS), (3.0, UNLEARNT_DRAG)])
+def test_it_learns_the_drag_on_a_circle(drags, params):
+    """Which turns with the vehicle, faster than a push is learnt; what is not drag stays a push. Without: no drag."""
+    flyer = Flyer(params, push=(0.0, 0.2))
+    flyer.drags = drags
+    for k in range(4000):
+        flyer.step(0.06 * np.array([math.sin(1.0 * FRAME_S * k), math.cos(1.0 * FRAME_S * k)]), angle_noise_rad=0.01)
+    learnt_1_s = flyer.observed.drag_1_s
+    if params is PARAMS:
+        assert learnt_1_s == pytest.approx((drags - 1.0) * PLANT.drag_1_s, rel=0.2)
+        assert flyer.learnt[2] == pytest.approx((0.0, 0.2), abs=0.05)
+    else:
+        assert learnt_1_s == 0.0
+
+
 def test_what_is_not_to_be_learnt_is_not():
     flyer = Flyer(
-        replace(PARAMS, level_rad_s=0.0, gain_spread=0.0, lag_spread_s=0.0, push_m_s3=0.0),
+        replace(PARAMS, level_rad_s=0.0, gain_spread=0.0, lag_spread_s=0.0, push_m_s3=0.0, drag_spread_1_s=0.0),
         (0.01, 0.0),
         (0.9, 1.0),
         (0.3, 0.0),
     )
     for k in range(600):
         flyer.step(waving(k))
-    assert not flyer.learnt.any()
+    assert not flyer.learnt.any() and flyer.observed.drag_1_s == 0.0
     unlearnt, unknown = flyer._steps, flyer.unknown
     (flyer._steps,), (flyer.unknown,) = observer([ARDRONE], PARAMS)
     for k in range(600, 2000):

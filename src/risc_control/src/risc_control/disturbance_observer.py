@@ -1,5 +1,5 @@
-"""What a vehicle does that its model does not know: its level, gain and lag of tilt and climb, its drag, and what pushes
-it. With its roll, pitch and velocity.
+"""What a vehicle does that its model does not know: level, gain and lag of tilt and climb, drag, and what pushes it.
+With its roll, pitch and velocity.
 
 Kalman filters on what motion capture says and the commands in force, for each axis:
 
@@ -14,9 +14,9 @@ Kalman filters on what motion capture says and the commands in force, for each a
 - way: position, velocity and the push, an acceleration by which both go otherwise than tilt and drag explain: wind,
   mass, thrust. It is along north and east, whichever way the vehicle turns. The gains are the steady-state ones for the
   interval between two measurements.
-- drag: by how much it differs from that of the type, one number for both axes: on a circle it turns faster than the push
-  is learnt. As a bias that is estimated apart (B. Friedland, Treatment of bias in recursive filtering, 1969): each way
-  carries its sensitivities, by which it would be elsewhere if there were one more of drag.
+- drag: by how much it differs from that of the type, one number for both axes: on a circle it turns faster than the
+  push is learnt. As a bias that is estimated apart (B. Friedland, Treatment of bias in recursive filtering, 1969): each
+  way carries its sensitivities, by which it would be elsewhere if there were one more of drag.
 
 A place or a tilt that the vehicle cannot have come to is not believed (exchanged names, say): nothing is learnt of it,
 and when it stays, the filters start there.

@@ -3,7 +3,8 @@
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
 forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain and lag of
-tilt and climb, drag, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the command.
+tilt and climb, drag, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the
+command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -37,8 +38,8 @@ class Params(Settings):
     q_integral: NotNegative = 0.0  # horizontal [1/(m s)^2]
     q_position: NotNegative = 200.0  # [1/m^2]
     q_velocity: NotNegative = 25.0  # [1/(m/s)^2]
-    q_tilt: NotNegative = 2.5  # on the acceleration by tilt [1/(m/s^2)^2]
-    q_tilt_rate: NotNegative = 0.12
+    q_tilt: NotNegative = 3.0  # on the acceleration by tilt [1/(m/s^2)^2]
+    q_tilt_rate: NotNegative = 0.15
     r_horizontal: Positive = 1.0  # [1/(m/s^2)^2]
     q_height_integral: NotNegative = 40.0  # vertical [1/(m s)^2]
     q_height: NotNegative = 70.0
@@ -50,17 +51,17 @@ class Params(Settings):
     error_max_m: Positive = 0.4  # larger position errors count as this long: bounds the speed of a return
     integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
     integral_min_height_m: Positive = 0.3  # no integration lower than this, and nothing is learnt below half of it
-    angle_noise_rad: Positive = 0.01  # of a measured roll or pitch, for the observer; see `disturbance_observer`
+    angle_noise_rad: Positive = 0.015  # of a measured roll or pitch, for the observer; see `disturbance_observer`
     tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
     level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
     height_noise_m: Positive = 0.005  # of a measured height
     climb_disturbance_m_s2: Positive = 0.15  # [m/s^2/sqrt(Hz)] what the climb model does not know
     climb_level_m_s2: NotNegative = 0.02  # [m/s^2/sqrt(Hz)] how the climb rate's zero changes; 0: it is not learnt
-    gain_spread: NotNegative = 0.1  # of angles and climb rates over commanded ones; 0: it is not learnt
+    gain_spread: NotNegative = 0.2  # of angles and climb rates over commanded ones; 0: it is not learnt
     lag_spread_s: NotNegative = 0.05  # of how late they follow; 0: it is not learnt
     position_noise_m: Positive = 0.02  # of a measured position
     push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
-    drag_spread_1_s: NotNegative = 0.2  # of drag over mass; 0: it is not learnt
+    drag_spread_1_s: NotNegative = 1.5  # of drag over mass; 0: it is not learnt
 
 
 # What bounds the commands of a vehicle; see `Params`.
@@ -260,7 +261,8 @@ def _integrate(integral, step_s, x, reference, limit):
 def _horizontal(motion, reference, drag_1_s, limit, gain, integral, push, lags_s):
     """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll.
 
-    drag_1_s: over mass.  push: north and east, see `predicted`.  lags_s: so much later follow pitch and roll than the loops of the type.
+    drag_1_s: over mass.  push: north and east, see `predicted`.  lags_s: so much later follow pitch and roll than the
+    loops of the type.
     """
     cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
