@@ -56,7 +56,8 @@ class QuadEkfTest(unittest.TestCase):
             Navdata(header=Header(stamp=now), vx=self.rng.normal(0.0, 1.0), vy=self.rng.normal(0.0, 1.0))
         )
         bodies = {
-            name: PLACES_M[name] + offset_m + TEMPLATES[name].markers_m @ rotation_body_to_cortex(0.0, 0.0, 0.0).T
+            name: np.add(PLACES_M[name], offset_m)
+            + TEMPLATES[name].markers_m @ rotation_body_to_cortex(0.0, 0.0, 0.0).T
             for name in PLACES_M
             if name not in without
         }

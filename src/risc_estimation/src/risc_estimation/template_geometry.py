@@ -52,13 +52,13 @@ def at_rest(samples_m):
         place_m = rest.markers_m[k] = np.median(own_m, axis=0)
         deviations_m = _SIGMA_BY_MAD * np.median(np.abs(own_m - place_m), axis=0)
         rest.noise_m[k] = math.sqrt(np.mean(deviations_m**2))
-        if rest.noise_m[k] > _NOISE_MAX_M:
-            raise ValueError("marker %d shakes: its noise is %.1f mm" % (k + 1, 1e3 * rest.noise_m[k]))
         parts = np.array_split(own_m, _PARTS)
         limit_m = _MOVED_M + _SIGMAS * _OF_MEDIAN * rest.noise_m[k] / math.sqrt(len(parts[-1]))
         moved_m = max(np.linalg.norm(np.median(part, axis=0) - place_m) for part in parts)
         if moved_m > limit_m:
             raise ValueError("marker %d has moved by %.1f mm: let the object rest" % (k + 1, 1e3 * moved_m))
+        if rest.noise_m[k] > _NOISE_MAX_M:
+            raise ValueError("marker %d shakes: its noise is %.1f mm" % (k + 1, 1e3 * rest.noise_m[k]))
     return rest
 
 
