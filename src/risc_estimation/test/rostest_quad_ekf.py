@@ -25,6 +25,7 @@ from risc_msgs.msg import Cortex
 TEMPLATES = load_templates()
 FRAME_S = 0.005
 NOISE_M = 0.001
+PUBLISH_HZ = 20.0  # as in quad_ekf.test
 COMMAND_CLIMB_M_S = 0.2  # of the AR.Drone, all the time: its acceleration is what is left of that
 PLACES_M = {"fluffy_II": [0.1, 0.2, 1.0], "IRIS": [-1.0, 0.5, 1.5]}
 
@@ -109,6 +110,9 @@ class QuadEkfTest(unittest.TestCase):
         wait_for(lambda: own.messages[-1].header.stamp == first[-1].header.stamp, "the same of the first vehicle")
         self.assertEqual(own.messages[-1].point, first[-1].point)
         self.assertEqual(first[-1].header.frame_id, "cortex")
+        self.send_until(lambda: len(first) >= 10, "ten of them")
+        steps_s = np.diff([message.header.stamp.to_sec() for message in first])
+        self.assertGreater(steps_s.min(), 0.99 / PUBLISH_HZ, "of frames that come faster only some are told")
         # the climb loop that stands still: what is commanded over its time constant, less what the filter has learnt
         limit_m_s2 = 1.5 * COMMAND_CLIMB_M_S / load_vehicle_type("ardrone").climb_time_constant_s
         points = np.array([(m.point.x, m.point.y, m.point.z) for m in first])
