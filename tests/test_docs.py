@@ -37,7 +37,6 @@ NOT_OURS = {  # of Debian, of others; of the original release
         "orbit2traj.py",
         "sharmas_controller.py",
         "trackone_scipy.py",
-        "quad_EKF.py",
     ),
 }
 DEBIAN = {"dynamic_reconfigure", "camera_calibration", "image_view"}

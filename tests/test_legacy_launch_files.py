@@ -55,6 +55,7 @@ DRAWING["/draw_angle_data"] = "risc_visual/draw_angles"
 RVIZ = {"/rviz": "risc_visual/open_rviz"}
 VIZ = {**DRAWING, **RVIZ, "/transforms": "risc_control/transforms"}
 LAB = {"/virtual_lab": "risc_simulator/virtual_lab_node.py"}
+EKF = {"/EKF": "risc_estimation/quad_EKF.py"}
 LQR = {"/controller": "risc_control/LQR_DF_controller.py"}
 
 
@@ -187,8 +188,8 @@ FILES = {
         iris_flight(), trajectory("circle_traj.py"), {"/controller": "risc_control/IRIS_DF_Controller.py"}, VIZ,
         trajectory__radius_m=0.7, trajectory__period_s=5.0,
     ),
-    "test_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold.py"}, VIZ),
-    "test_tuner_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold_tuner.py"}, VIZ),
+    "test_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold.py"}, EKF, VIZ),
+    "test_tuner_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold_tuner.py"}, EKF, VIZ),
     "demonstration": file(
         on_one_computer("risc1", "risc2", "risc3"),
         VIZ, {"/trajectory_node": "risc_control/circles3_traj.py",

@@ -111,6 +111,15 @@ def test_the_estimator_of_a_flight_reaches_its_node(name):
         assert config.params["/states_estimation/filter"].value == expected
 
 
+@pytest.mark.parametrize("name", ["circles3", "coop", "df_demo", "iris"])
+def test_the_states_that_a_controller_flies_by_are_an_argument(name):
+    for argv, topic in (([], "/cortex_raw"), (["states:=cortex_ekf"], "/cortex_ekf")):
+        config, path = roslaunch.config.ROSLaunchConfig(), ROOT / "launch" / (name + ".launch")
+        roslaunch.xmlloader.XmlLoader().load(str(path), config, argv=argv, verbose=False)
+        assert config.params["/controller/states_topic"].value == topic
+        assert [node.name for node in config.nodes if node.type == "quad_EKF.py"] == (["EKF"] if argv else [])
+
+
 def test_nothing_is_built_under_nodes_that_run():
     node = [sys.executable, "-c", "import time; time.sleep(60.0)", "__name:=pretender"]
     with subprocess.Popen(node, env=dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))) as process:

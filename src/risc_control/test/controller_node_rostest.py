@@ -124,6 +124,24 @@ class ControllerNodeTest(unittest.TestCase):
 
         wait_for(falls_back, "an answer to a state of the new clock")
 
+    def test_it_flies_by_the_states_that_it_is_told_and_by_no_others(self):
+        """States of a topic of its own, while /cortex_raw has another vehicle's place: nothing, then an answer."""
+        answers, states = [], rospy.Publisher("/cortex_ekf", Cortex, queue_size=100)
+        subscriber = rospy.Subscriber("/ekf_controls", Controls, answers.append, queue_size=100)
+        wait_for(lambda: states.get_num_connections() and subscriber.get_num_connections(), "the node is there")
+        before = len(self.lab.received["/controls"])
+        wait_for(lambda: len(self.lab.received["/controls"]) > before + 50, "the others answer /cortex_raw")
+        self.assertEqual(answers, [])
+
+        def answered():
+            message = Cortex(Obj=[States(name=name, visible=True, z=1.0, x=-0.1) for name in NAMES])
+            message.header.stamp = rospy.Time.now()
+            states.publish(message)
+            return answers and len(answers[-1].Obj) == len(NAMES) and answers[-1].Obj[0].theta > 0.02
+
+        wait_for(answered, "forward, to where the reference is")
+        subscriber.unregister()
+
     def test_signs_by_name(self):
         for topic in self.lab.received:
             self.lab.psi_deg = 0.0

@@ -14,7 +14,7 @@ from risc_estimation.filters.ekf import MEASURES, POSE, model_of
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.command_history import CommandHistory
-from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_lab.lab import load_templates, load_vehicle_type
 from risc_lab.states import S
 
@@ -225,6 +225,52 @@ def test_what_agrees_for_long_is_believed_and_the_truth_at_once():
     assert estimate.visible[0] and flown.error_m(estimate) < 0.03
 
 
+def test_the_acceleration_is_that_of_the_model_and_nobodys_without_commands():
+    """Gravity does not come in: a level vehicle has none, a pitched one about g tan. Of a tip nobody knows it."""
+    flown, dull = Flown(12), "Pendulum_tip"
+    assert np.isnan(flown.estimator.accelerations()).all()
+    for _ in range(300):
+        stamp_s, layout, markers_m = flown.step()
+        tip_m = TEMPLATES[dull].markers_m + [1.0, 1.0, 1.0]
+        estimate = flown.estimator.update(stamp_s, (*layout, (dull, 3)), np.concatenate([markers_m, tip_m]))
+    assert estimate.names == (flown.name, dull)
+    (found, of_tip), state, command = flown.estimator.accelerations(), estimate.states[0], np.zeros(4)
+    assert np.isnan(of_tip).all()
+    rate = np.zeros(DIM)
+    command[:] = flown.sent.at(0, flown.time_s - flown.model["delay_s"])
+    slope(flown.x, flown.model, command, False, rate)
+    np.testing.assert_allclose(found, rate[3:6], atol=0.2)
+    forward = math.cos(state[S.PSI]) * found[0] - math.sin(state[S.PSI]) * found[1]
+    assert forward == pytest.approx(-GRAVITY_M_S2 * math.tan(state[S.THETA]), abs=0.4), "nose up: backwards"
+
+
+def test_what_becomes_of_the_poses_is_counted_for_each_body():
+    flown = Flown(11)
+    flown.fly(1.0)
+    (counts,) = flown.estimator.counters()
+    assert (counts.poses, counts.late, counts.resets) == (200, 0, 0)
+    assert counts.positions_refused + counts.attitudes_refused < 3
+    before = counts.copy()
+    for _ in range(20):
+        flown.estimator.update(*beside(flown.step(), [0.5, 0.0, 0.0]))
+    flown.fly(DT_S)
+    (counts,) = flown.estimator.counters()
+    assert (counts.poses - before.poses, counts.positions_refused - before.positions_refused) == (21, 20)
+    assert counts.resets == 0
+    lost = np.full_like(TEMPLATES[flown.name].markers_m, np.nan)
+    for _ in range(2000):  # longer than anybody knows where it may be: the next pose begins anew
+        stamp_s, layout, _ = flown.step()
+        flown.estimator.update(stamp_s, layout, lost)
+    flown.fly(1.0)
+    (counts,) = flown.estimator.counters()
+    assert counts.resets == 1
+    for _ in range(100):
+        flown.estimator.update(*beside(flown.step(), [0.0, 0.5, 0.0]))
+    flown.fly(DT_S)
+    (counts,) = flown.estimator.counters()
+    assert counts.resets == 3, "believed, and back again"
+
+
 def test_late_poses_are_taken_at_their_own_time():
     """Frames in another order end in the same state as in theirs."""
     ends = []
@@ -238,7 +284,7 @@ def test_late_poses_are_taken_at_their_own_time():
             estimate = flown.estimator.update(*frame) or estimate
         ends.append(estimate.states[0])
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-9)
-    assert flown.estimator.counts.late_frames == 20
+    assert flown.estimator.counts.late_frames == flown.estimator.counters()["late"][0] == 20
 
 
 def test_readings_that_stand_still_are_none():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mocap_frames import pack_bodies
 
-from risc_estimation.filters import REGISTRY, Status, VelocityFilter, make_filter
+from risc_estimation.filters import COUNTS, REGISTRY, Status, VelocityFilter, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
@@ -63,6 +63,9 @@ def test_steady_motion_is_followed(name):
     assert (np.abs(estimate.states[:, S.PSI]) <= math.pi).all()
     covariances = estimator.covariances()
     assert covariances is None or covariances.shape == (2, 12, 12)
+    counters, accelerations = estimator.counters(), estimator.accelerations()
+    assert counters is None or (counters.dtype == COUNTS and counters["poses"].tolist() == [400, 400])
+    assert accelerations is None or accelerations.shape == (2, 3)
 
 
 @pytest.mark.parametrize("name", NAMES)

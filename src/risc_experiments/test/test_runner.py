@@ -276,6 +276,8 @@ def test_as_many_vehicles_as_asked_for(tmp_path):
     assert fleet == load_fleet(tmp_path / "fleet.yaml") and fleet.vehicles[7].address == "127.99.1.8"
     assert fleet.arena.half_x_m > 2.5 and "ardrone8" in fleet.templates.templates, "the file describes the whole lab"
     assert launch_arguments(arguments(["--vehicles", "8"]), fleet, tmp_path)["vehicles"].split()[7] == "risc8"
+    for words, states in (([], "cortex_raw"), (["--states", "cortex_ekf"], "cortex_ekf")):
+        assert launch_arguments(arguments(words), fleet, tmp_path)["states"] == states
     few = prepare_fleet(arguments(["--vehicles", "5"]), "127.99", tmp_path)
     assert few.name == "ardrones5" and few.arena == Arena()
 

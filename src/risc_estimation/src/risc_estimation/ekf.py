@@ -109,14 +109,29 @@ def predict(track, stamp_s, model, sent, work):
     span_s = stamp_s - track.stamp_s
     steps = max(1, int(math.ceil(span_s / STEP_S - 1e-6)))
     dt = span_s / steps
-    k = sent.newest
     from_s = track.stamp_s - model.delay_s
     for step in range(steps):
         time_s = from_s + (step + 0.5) * dt
         k = last_by(sent, time_s, sent.newest)
-        free = not model.follows or not time_s - sent.times_s[k % ROWS] < _KNOWN_S or track.x[S.Z] < AIRBORNE_M
-        _step(track.x, track.P, model, sent.commands[k % ROWS], free, dt, work)
+        _step(track.x, track.P, model, sent.commands[k % ROWS], _is_free(track.x, time_s, k, model, sent), dt, work)
     track.stamp_s = stamp_s
+
+
+@compiled
+def _is_free(x, time_s, k, model, sent):
+    """Whether nobody knows what moves a body. time_s: when a command is sent that is in force now; k: of that one."""
+    return not model.follows or not time_s - sent.times_s[k % ROWS] < _KNOWN_S or x[S.Z] < AIRBORNE_M
+
+
+@compiled
+def acceleration(track, model, sent, work, out):
+    """Fill out (3,) with the acceleration at a TRACK [m/s^2] by `slope`, cortex axes; NaN where nobody knows it."""
+    time_s = track.stamp_s - model.delay_s
+    k = last_by(sent, time_s, sent.newest)
+    free = _is_free(track.x, time_s, k, model, sent)
+    slope(track.x, model, sent.commands[k % ROWS], free, work.slope)
+    for axis in range(3):
+        out[axis] = math.nan if free else work.slope[_V + axis]
 
 
 @compiled

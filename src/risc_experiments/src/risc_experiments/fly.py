@@ -47,6 +47,7 @@ SILENT_S = 5.0  # an operator who says nothing for so long has died
 HUNG_S = 15.0  # ... whom a fault lets hang is to go on: the ladders have landed all vehicles by then
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 CONTROLLER = "differential_flatness"
+STATES = "cortex_raw", "cortex_ekf"  # topics of states that a controller may fly by
 WAYPOINTS = "waypoints.yaml"  # those of the flight, in its folder
 BROWSER_PORT = 8080  # of the web page, unless another program has it
 IN_THE_AIR = range(OperatorPhase.TAKEOFF, OperatorPhase.LAND + 1)
@@ -103,6 +104,8 @@ def options():
     rate_help = "of motion capture (default: 200, less if it must be)"
     add("--mocap-rate", type=number(RATES_HZ[-1], 500.0), metavar="HZ", help=rate_help)
     add_option(add)
+    states_help = "what the controller flies by: /cortex_raw, or /cortex_ekf of quad_EKF.py (default: %s)" % STATES[0]
+    add("--states", choices=STATES, default=STATES[0], help=states_help)
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
@@ -235,6 +238,7 @@ def launch_arguments(args, fleet, folder):
         "psi_deg": "" if args.psi is None else args.psi,
         "ready": READY_S,
         "estimator": args.estimator,
+        "states": args.states,
     }
     if args.experiment in BUMPER_STEPS:
         result["bumper_steps"] = BUMPER_STEPS[args.experiment]

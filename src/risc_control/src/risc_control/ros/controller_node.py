@@ -1,4 +1,4 @@
-"""Wiring of the controller nodes: /cortex_raw and /trajectory -> /controls. The work is in `controllers`."""
+"""Wiring of the controller nodes: states and /trajectory -> /controls. The work is in `controllers`."""
 
 import threading
 import time
@@ -27,7 +27,7 @@ from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_lab.settings import Positive, Settings, limits_of, settings_from
+from risc_lab.settings import Name, Positive, Settings, limits_of, settings_from
 from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives, VehicleStatus
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
@@ -39,6 +39,8 @@ class ControllerParams(Settings):
 
     controller: str  # name of one, see `controllers`
     vehicle_type: str = ""  # of all vehicles; "": what the fleet says
+    # of the states: /cortex_ekf are those of quad_EKF.py. What is safe the vehicle nodes judge by /cortex_raw
+    states_topic: Name = "/cortex_raw"
     state_timeout: Positive = 0.2  # [s] an older state is not answered
     reference_timeout: Positive = 0.2  # [s] nor a vehicle whose newest reference is older
 
@@ -60,6 +62,7 @@ class ControllerNode:
         self._index = {name: i for i, name in enumerate(self.names)}
         private = rospy.get_param("~", {})
         types = [told_vehicle_type(vehicle, private) for vehicle in fleet_vehicles]
+        self._states_topic = rospy.resolve_name(node.states_topic)
         self._state_timeout_s, self._reference_timeout_s = node.state_timeout, node.reference_timeout
         own = own_params(node.controller, fleet_vehicles, "parameter /fleet")
         self._loop = ControlLoop(node.controller, types, params, own)
@@ -96,10 +99,11 @@ class ControllerNode:
         rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
-            "%s controls %s by %s, acting %.0f ms ahead",
+            "%s controls %s by %s and %s, acting %.0f ms ahead",
             rospy.get_name(),
             ", ".join(self.names),
             node.controller,
+            self._states_topic,
             1e3 * self._loop.controller.delay_s.max(),
         )
 
@@ -112,8 +116,11 @@ class ControllerNode:
         else:
             topic, kind, callback = "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory
         self._references_in = PacedSubscriber(topic, kind, callback, _REFERENCES_HZ)
+        self._subscribe_to_states()
+
+    def _subscribe_to_states(self):
         rospy.Subscriber(  # of what has come meanwhile the newest is answered
-            "/cortex_raw",
+            self._states_topic,
             CortexArrays.Raw,
             self._on_states,
             queue_size=1,
@@ -216,7 +223,8 @@ class ControllerNode:
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
             unknown = self._reader.unknown
         if unknown and not self._attached.issuperset(unknown):
-            rospy.logwarn_throttle(60.0, "/cortex_raw shows %s, which this controller does not fly", ", ".join(unknown))
+            text = "%s shows %s, which this controller does not fly"
+            rospy.logwarn_throttle(60.0, text, self._states_topic, ", ".join(unknown))
 
     def _updated(self):
         """For subclasses: called after every update of the controller, with the lock held."""
@@ -241,7 +249,7 @@ class ControllerNode:
             self._cycle_max_s = self._age_max_s = 0.0
         summarise(
             status,
-            (rates["states"] == 0.0, 1, "no states on /cortex_raw"),
+            (rates["states"] == 0.0, 1, "no states on " + self._states_topic),
             (rates["without command"] > 0.0, 1, "a vehicle is not seen or has no fresh reference: no command for it"),
             (True, 0, "controlling"),
         )

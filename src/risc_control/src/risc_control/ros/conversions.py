@@ -60,6 +60,22 @@ def _pick_states(degrees, seen, rows, visible, x):
             x[i] = 0.0
 
 
+class StatesMessage:
+    """A Cortex message of these vehicles, filled again and again."""
+
+    def __init__(self, names):
+        self._message = CortexArrays(names)
+
+    def fill(self, header, states):
+        """The message with these States, with the stamp and frame of a header."""
+        message = self._message
+        message.header.stamp, message.header.frame_id = header.stamp, header.frame_id
+        message.visible[:] = states.visible
+        message.states[:] = states.x
+        message.states[:, S.PHI :] /= _RAD_PER_DEG
+        return message
+
+
 class ControlsMessage:
     """A Controls message for these vehicles, filled again and again."""
 

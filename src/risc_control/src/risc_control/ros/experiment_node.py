@@ -18,7 +18,7 @@ from risc_control.ros.trajectory_node import (
 )
 from risc_control.vehicles import adapter_class
 from risc_lab.lab import load_vehicle_type
-from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
+from risc_lab.ros.fleet_messages import TrajectoriesArrays
 from risc_lab.ros.params import load_params, vehicles
 
 IRIS = "iris"  # type of vehicle
@@ -45,7 +45,7 @@ class ExperimentNode(ControllerNode):
         self._wiring.manager.ask(self._loop.controller.ORDER)
 
     def _subscribe(self):
-        rospy.Subscriber("/cortex_raw", CortexArrays.Raw, self._on_states, queue_size=1, tcp_nodelay=True)
+        self._subscribe_to_states()
 
     def _on_states(self, message):
         if self._wiring.manager.watching:

@@ -10,7 +10,7 @@ import enum
 
 import numpy as np
 
-from risc_lab.compiled import with_row
+from risc_lab.compiled import record, with_row
 from risc_lab.registry import Registry
 from risc_lab.settings import settings_from
 from risc_lab.states import S
@@ -29,6 +29,10 @@ class Status(enum.IntEnum):
     TRACKED = 3
     PREDICTED = 4  # no pose in this frame: the filter goes on without
     SUSPECT = 5  # a pose that cannot be true: the filter goes on without
+
+
+# What has become of the poses of a body, from the start on; `risc_maap_msgs/BodyStatus` explains them.
+COUNTS = record(*[(name, int) for name in ("poses", "positions_refused", "attitudes_refused", "late", "resets")])
 
 
 class VelocityFilter:
@@ -79,10 +83,19 @@ class VelocityFilter:
         """List of Status of the bodies in the newest frame, whose `Poses` these are."""
         return status_of(poses, self.visible)
 
+    def counters(self):
+        """(bodies,) COUNTS up to now; None if it does not count."""
+
     def covariances(self):
         """(bodies, 12, 12) of the states; None if it does not know. Called only when somebody asks.
 
         States_estimation publishes them on state_covariances while somebody listens.
+        """
+
+    def accelerations(self):
+        """(bodies, 3) [m/s^2] cortex axes, by its model, of the newest states: 0 in a hover. None if it has no model.
+
+        NaN where the model knows nothing: of a body that follows no known command. Called only when somebody asks.
         """
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from risc_estimation.ekf import MODEL, TRACK, WORK, correct, innovate, predict
-from risc_estimation.filters import COMMAND, Status, VelocityFilter
+from risc_estimation.ekf import MODEL, TRACK, WORK, acceleration, correct, innovate, predict
+from risc_estimation.filters import COMMAND, COUNTS, Status, VelocityFilter
 from risc_lab.command_history import CommandHistory, append_command
 from risc_lab.compiled import compiled, record, with_row
 from risc_lab.frames import GRAVITY_M_S2, wrap_one_angle
@@ -58,10 +58,9 @@ class Params(Settings):
 
 
 SETTINGS = record("gate settled_m2_s2 coast_s coast_m2 readmit_s remember_s")
-BODY = record(("count", int), ("newest", int), ("resets", int), ("status", int), "taken_s")
+BODY = record(("count", int), ("newest", int), ("status", int), "taken_s")
 SLOT = record(("track", TRACK), ("kind", int), ("z", float, (6,)), ("R", float, (6, 6)), ("taken", int, (2,)))
 OTHER = record(("track", TRACK), ("lives", bool), "since_s taken_s")
-COUNTS = record(*[(name, int) for name in ("poses", "positions_refused", "attitudes_refused", "late", "resets")])
 
 
 class Filter(VelocityFilter):
@@ -78,7 +77,7 @@ class Filter(VelocityFilter):
         gate = chi2.isf(params.gate_probability, 3) if params.gate_probability > 0.0 else math.inf
         settings = gate, params.settled_m_s**2, params.coast_s, params.coast_m**2, params.readmit_s, params.remember_s
         self._settings = np.array([settings], SETTINGS)
-        self._work, self._counts = np.zeros(1, WORK), np.zeros(1, COUNTS)
+        self._work, self._counts = np.zeros(1, WORK), np.zeros(0, COUNTS)
         self._models, self._bodies = np.zeros(0, MODEL), np.zeros(0, BODY)
         self._slots, self._others = np.zeros((0, _SLOTS), SLOT), np.zeros((0, 2), OTHER)
         self._sent = CommandHistory(0).vehicles
@@ -87,13 +86,14 @@ class Filter(VelocityFilter):
         # without and with a body: loads the compiled code
         self.coast(0.0)
         tables = (np.zeros(1, MODEL), np.zeros(1, BODY), np.zeros((1, _SLOTS), SLOT), np.zeros((1, 2), OTHER))
-        tables += CommandHistory(1).vehicles, self._work, self._counts
+        tables += CommandHistory(1).vehicles, self._work, np.zeros(1, COUNTS)
         _on_board(0.0, 0, _VELOCITY, np.zeros(2), 1.0, self._settings, *tables)
+        self.accelerations()
 
     def add_body(self, template, vehicle_type=None):
         super().add_body(template)
         self._models, self._bodies, self._others = map(with_row, (self._models, self._bodies, self._others))
-        self._slots = with_row(self._slots)
+        self._slots, self._counts = map(with_row, (self._slots, self._counts))
         self._sent = np.concatenate([self._sent, CommandHistory(1).vehicles])
         self._last.append({})
         self._models[-1] = model_of(self.params, template, vehicle_type)
@@ -144,6 +144,14 @@ class Filter(VelocityFilter):
         newest = zip(self._slots["track"]["P"], (self._bodies["newest"] % _SLOTS).tolist())
         return np.array([P[k, : len(S), : len(S)] for P, k in newest]).reshape(-1, len(S), len(S))
 
+    def counters(self):
+        return self._counts.copy()
+
+    def accelerations(self):
+        found = np.full((len(self.visible), 3), np.nan)
+        _accelerations(self._models, self._bodies, self._slots, self._sent, self._work, found)
+        return found
+
 
 def model_of(params, template, vehicle_type):
     """MODEL of a body, as a record."""
@@ -185,7 +193,7 @@ def _update(
         for k in range(3):
             z[k], z[3 + k] = measured[0, i, k], measured[1, i, k]
         kind = POSE if present else _TIME
-        _take(stamp_s, kind, z, R, settings[0], models[i], body, slots[i], others[i], sent[i], work[0], counts[0])
+        _take(stamp_s, kind, z, R, settings[0], models[i], body, slots[i], others[i], sent[i], work[0], counts[i])
         visible[i] = False
         if body.count == 0:
             body.status = Status.LOST
@@ -205,6 +213,14 @@ def _update(
             body.status = Status.TRACKED if unseen_s <= 0.0 else (Status.SUSPECT if present else Status.PREDICTED)
             for k in range(12):
                 states[i, k] = wrap_one_angle(track.x[k]) if 6 <= k < 9 else track.x[k]
+
+
+@compiled
+def _accelerations(models, bodies, slots, sent, work, found):
+    """Fill found (bodies, 3)."""
+    for i in range(len(bodies)):
+        if bodies[i].count > 0:
+            acceleration(slots[i, bodies[i].newest % _SLOTS].track, models[i], sent[i], work[0], found[i])
 
 
 @compiled
@@ -247,7 +263,7 @@ def _on_board(stamp_s, row, kind, values, variance, settings, models, bodies, sl
         others[row],
         sent[row],
         work[0],
-        counts[0],
+        counts[row],
     )
 
 
@@ -256,6 +272,8 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
     """An event of a body."""
     if body.count == 0:
         if kind == POSE:
+            counts.resets += counts.poses > 0  # it was another one before
+            counts.poses += 1
             body.count, body.newest, body.taken_s = 1, 0, stamp_s
             _begin(slots[0].track, stamp_s, z, R)
             others[_CANDIDATE].lives = others[_FORMER].lives = False
@@ -384,6 +402,5 @@ def _change_to(stamp_s, other, former, body, slots):
     x, P, taken_s = slot.track.x.copy(), slot.track.P.copy(), body.taken_s
     slot.track.x[:], slot.track.P[:, :] = other.track.x, other.track.P
     body.taken_s, body.count = stamp_s, 1
-    body.resets += 1
     former.track.x[:], former.track.P[:, :], former.track.stamp_s = x, P, stamp_s
     former.lives, former.taken_s = True, taken_s

@@ -8,10 +8,12 @@ from risc_lab.settings import Name, NotNegative, Positive, Settings
 
 @dataclass(frozen=True)
 class NodeParams(Settings):
-    """Of states_estimation, beside `pose_fit.PoseFitParams` and the settings of the filter (config/filters)."""
+    """Of states_estimation, beside `pose_fit.PoseFitParams` and the settings of the filter (config/filters); of
+    quad_EKF, beside the settings of the filter.
+    """
 
-    filter: Name = DEFAULT  # of velocities, by name; its settings may be private parameters, too
-    vehicles: tuple[str, ...] = ()  # templates listed on /cortex_raw from the start, seen or not; () = those of /fleet
+    filter: Name = DEFAULT  # of velocities, by name; its settings may be private parameters, too. quad_EKF: ekf
+    vehicles: tuple[str, ...] = ()  # templates listed among the states from the start, seen or not; () = of /fleet
     templates_file: str = ""  # marker templates; "" = config/templates.yaml of risc_lab
     silence_s: NotNegative = 0.1  # [s] without frames before everything is published as invisible, once; 0 = never
     # [s] of frames may wait while the node is held up: 10 frames at 200 Hz, 5 at 100 Hz (mocap.rate_hz of the fleet
@@ -22,6 +24,13 @@ class NodeParams(Settings):
     def queue_frames(self, rate_hz):
         """How many frames may wait at a rate of motion capture [Hz]."""
         return max(int(self.queue_s * rate_hz + 1e-6), 1)
+
+
+@dataclass(frozen=True)
+class EkfNodeParams(Settings):
+    """Of quad_EKF alone."""
+
+    publish_hz: NotNegative = 22.5  # [Hz] at most, of accelerations and position covariances; 0: with every frame
 
 
 @dataclass(frozen=True)
