@@ -109,6 +109,10 @@ class StatesEstimator:
         """(vehicles, 12, 12) of the newest states; None if the filter does not know."""
         return self._filter.covariances()
 
+    def innovations(self):
+        """`filters.Innovations` of the newest frame; None if the filter has none."""
+        return self._filter.innovations(self._fit.poses)
+
     def update(self, stamp_s, layout, markers_m):
         """Estimate one frame. layout and markers_m: see `PoseFit.update`.
 

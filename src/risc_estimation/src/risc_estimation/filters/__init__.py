@@ -7,6 +7,7 @@ What runs in every frame is compiled, one call for all bodies, see `risc_lab/com
 """
 
 import enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,15 @@ class Status(enum.IntEnum):
     TRACKED = 3
     PREDICTED = 4  # no pose in this frame: the filter goes on without
     SUSPECT = 5  # a pose that cannot be true: the filter goes on without
+
+
+class Innovations(NamedTuple):
+    """How far the poses of the newest frame were from what was predicted. Rows are bodies."""
+
+    # (n, 3) y^T S^-1 y of position, of attitude (3 degrees of freedom each) and of both (6); NaN where there was no
+    # pose, or nothing to predict it by
+    squares: np.ndarray
+    taken: np.ndarray  # (n, 2) bool: position, attitude
 
 
 class VelocityFilter:
@@ -84,6 +94,9 @@ class VelocityFilter:
 
         States_estimation publishes them on state_covariances while somebody listens.
         """
+
+    def innovations(self, poses):
+        """Innovations of the newest frame, whose `Poses` these are; None if it has none. Only when somebody asks."""
 
 
 def make_filter(name=DEFAULT, given=None):
