@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from risc_control import h2_limit
-from risc_control.h2_limit import Axis, axes_of, gust_limit_m, optimal_gain, rms
+from risc_control.h2_limit import Axis, axes_of, gust_limit_m, max_sensitivity, optimal_gain, rms, trade
 from risc_lab.lab import load_vehicle_type
 
 DRONE = replace(load_vehicle_type("ardrone"), command_delay_s=0.1)
@@ -104,6 +104,26 @@ def test_with_commands_that_a_vehicle_obeys_it_is_larger():
     assert limit_m(timid, sigmas=3.0) == pytest.approx(tenths, rel=1e-3)
     forward = axes_of(DRONE, POSE, GUST_M_S2, GUST_S)[0]
     assert forward.full_scale_m_s2 == pytest.approx(9.81 * 1.10714 * 0.349066, rel=1e-3)
+
+
+@pytest.mark.parametrize("holds_late", [0, 1, 3])
+def test_the_sensitivity_of_a_sampled_integrator(holds_late):
+    """u = -K x of the predicted state: c = -K (x + T (sum of the commands on their way)), x = T/(z - 1) (c + d)."""
+    K, T = 4.0, 0.1
+    z = np.exp(1j * T * np.geomspace(0.1, math.pi / T, 1000))
+    on_their_way = sum(z**-k for k in range(1, holds_late + 1)) if holds_late else 0.0
+    L = K * T * z**-holds_late / (z - 1.0) / (1.0 + K * T * on_their_way)
+    axis = integrator(1, 0.2, 0.0)
+    found = max_sensitivity(axis, np.array([K]), holds_late * T, T, T / 4)
+    assert found == pytest.approx(np.abs(1.0 / (1.0 + L)).max(), rel=1e-4)
+
+
+def test_margins_cost_accuracy():
+    curve = trade(DRONE, POSE, GUST_M_S2, GUST_S, 0.006)
+    sensitivities, errors_m = zip(*curve)
+    assert (np.diff(errors_m) > 0.0).all() and errors_m[0] > limit_m(latency_s=0.006)
+    bold, timid = sensitivities[0], sensitivities[-1]
+    assert bold > 5.0 and timid < 2.0
 
 
 def test_it_hardly_depends_on_what_is_chosen_small(monkeypatch):

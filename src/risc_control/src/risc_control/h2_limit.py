@@ -15,7 +15,8 @@ so it adds nothing.
 
 Without a weight commands are as large as it takes, beyond what any vehicle obeys: a bound that no controller passes.
 With the weight that keeps their RMS within a part of the full scale, it is that of linear controllers whose commands
-are obeyed. What real controllers pay besides: margins, plants that are not their type, courses that tilt.
+are obeyed. Both know their plant so well that they have next to no margins: `trade` says what margins cost. What real
+controllers pay besides: plants that are not their type, courses that tilt.
 """
 
 import math
@@ -29,6 +30,8 @@ from risc_lab.frames import GRAVITY_M_S2
 
 _INSTANTS = 16  # of the time between two commands, at which the error is looked at
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-16, 1e4  # [s^4] of a squared command, an acceleration, over that of a squared position
+_TRADE_WEIGHTS = np.geomspace(1e-6, 1.0, 7)
+_DECAY_S = 8.0  # of a pulse
 
 
 class Axis(NamedTuple):
@@ -62,8 +65,7 @@ def gust_limit_m(vehicle_type, pose_covariance, gust_m_s2, gust_time_s, latency_
         raise ValueError(text % (numbers,))
     if gust_m_s2 == 0.0:
         return 0.0
-    times = latency_s + 0.5 * frame_s + vehicle_type.command_delay_s, 1.0 / vehicle_type.command_rate_hz, frame_s
-    errors_m = []
+    times, errors_m = _times(vehicle_type, latency_s, frame_s), []
     for axis in axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s):
         most_m_s2 = axis.full_scale_m_s2 / sigmas if sigmas else math.inf
         errors_m.append(_least(axis, times, most_m_s2))
@@ -137,6 +139,57 @@ def rms(axis, K, delay_s, hold_s, frame_s):
     moved = c - np.outer(d, K)
     errors = np.einsum("ti,ij,tj->t", moved, known, moved) + np.einsum("ti,ij,tj->t", c, P, c) + w
     return math.sqrt(errors.mean()), math.sqrt(K @ known @ K)
+
+
+def max_sensitivity(axis, K, delay_s, hold_s, frame_s):
+    """Largest |S| of the sampled loop, broken at the command, up to half the rate of the commands.
+
+    As `risc_experiments.loop_margins` finds it in flights: the commands after a pulse that is one command long, which
+    filter and predictor do not know of. Frames and delay are rounded to whole parts of a hold, and to frames.
+    """
+    H, frames = axis.H, max(1, round(hold_s / frame_s))  # of a hold
+    Phi, Gamma, W = _over(axis, hold_s / frames)
+    R = axis.R * frame_s * frames / hold_s  # as much noise in all
+    P = solve_discrete_are(Phi.T, H.T, W, R)
+    L = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    late = round(delay_s * frames / hold_s)
+    x, known, answers = np.zeros(len(Phi)), np.zeros(len(Phi)), []
+    on_their_way = [0.0] * late  # the command of each of the next frames
+    for k in range(round(_DECAY_S / hold_s) * frames):
+        known = known + L @ (H @ (x - known))
+        if k % frames == 0:
+            ahead = known
+            for u in on_their_way:
+                ahead = Phi @ ahead + Gamma * u
+            on_their_way += [-K @ ahead] * frames
+        u = on_their_way.pop(0)
+        if (k - late) % frames == 0 and k >= late:
+            answers.append(u)
+        x = Phi @ x + Gamma * (u + (late <= k < late + frames))
+        known = Phi @ known + Gamma * u
+    frequencies_rad_s = np.geomspace(0.1, math.pi / hold_s, 1000)
+    turns = np.exp(-1j * hold_s * np.outer(frequencies_rad_s, np.arange(len(answers))))
+    return float(np.abs(1.0 + turns @ answers).max())
+
+
+def trade(vehicle_type, pose_covariance, gust_m_s2, gust_time_s, latency_s=0.0, frame_s=0.005):
+    """[(largest |S| of the worst axis, RMSE [m])]: what margins cost, from bold controllers to timid ones.
+
+    They are the H2-optimal ones of a growing weight on the command. Arguments as of `gust_limit_m`.
+    """
+    axes = axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s)
+    times = _times(vehicle_type, latency_s, frame_s)
+    curve = []
+    for weight in _TRADE_WEIGHTS:
+        loops = [(axis, optimal_gain(axis, times[1], weight)) for axis in axes]
+        worst = max(max_sensitivity(*loop, *times) for loop in loops)
+        curve.append((worst, math.hypot(*(rms(*loop, *times)[0] for loop in loops))))
+    return curve
+
+
+def _times(vehicle_type, latency_s, frame_s):
+    """(delay_s, hold_s, frame_s) as `rms` takes them."""
+    return latency_s + 0.5 * frame_s + vehicle_type.command_delay_s, 1.0 / vehicle_type.command_rate_hz, frame_s
 
 
 def _error(axis, hold_s):

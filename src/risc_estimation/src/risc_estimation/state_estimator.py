@@ -111,7 +111,7 @@ class StatesEstimator:
 
     def innovations(self):
         """`filters.Innovations` of the newest frame; None if the filter has none."""
-        return self._filter.innovations(self._fit.poses)
+        return self._filter.innovations(self.poses)
 
     def update(self, stamp_s, layout, markers_m):
         """Estimate one frame. layout and markers_m: see `PoseFit.update`.
