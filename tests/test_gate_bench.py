@@ -12,7 +12,8 @@ from risc_experiments.flight_tape import record, replay
 from risc_experiments.offline import Flight
 from risc_lab.states import S
 
-SMALL = ["--frames", "4000", "--injections", "12", "--outages", "4", "--seeds", "2"]
+# in this process: another would find the driver's sources before its messages, once a test here has imported them
+SMALL = ["--frames", "4000", "--injections", "12", "--outages", "4", "--seeds", "2", "--workers", "1"]
 
 
 @pytest.fixture(scope="module")

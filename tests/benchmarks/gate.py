@@ -9,7 +9,8 @@ fit and of the filter refuses anything.
   the pose fit or the filter refuses, or takes only in part; with the upper 95 % bound of Clopper and Pearson.
 - detected_first_frame: share of single false frames, by kind, that do no harm: the false pose is not taken, and no
   state that comes out of the frame is visible and wrong by more than 30 mm, 5 degrees of tilt or 10 degrees of yaw. A
-  pose that was mended, so that it is nearer to the truth than half of that (half of a jump), is not false.
+  pose that was mended, so that it is nearer to the truth than half of that (half of a jump), is not false; nor is the
+  attitude of a vehicle that heads and tilts as the one whose name it has.
   swap: two markers of a vehicle; flip: it faces the other way; exchange: two vehicles; jump: level, evenly on a
   logarithmic scale from 5 sigma of a marker's noise (10 mm) to 1 m.
 - lockouts: outages of a vehicle, 0.02 to 5 s evenly on a logarithmic scale, after which it is not visible, and right,
