@@ -7,7 +7,7 @@ frames are lost, and two markers of a vehicle have each other's label, in each f
 limit_m is that of `risc_control.h2_limit`: a controller that knows the nominal plant, the delay, the noise of a pose
 and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands are of any size;
 limit_in_scale_m: three times their RMS is within the full scale of the type. Both have next to no margins, and `trade`
-says what margins cost: the largest |S| and the RMSE of H2-optimal controllers that spare their commands more and more.
+says what these cost: the least RMSE of such controllers, tuned by two numbers, with no larger |S| than so.
 """
 
 import argparse
@@ -60,7 +60,9 @@ def limits_of(flight, gust_m_s2):
     return {
         "limit_m": gust_limit_m(*case),
         "limit_in_scale_m": gust_limit_m(*case, sigmas=SIGMAS_IN_SCALE),
-        "trade": [{"max_s": max_s, "rmse_m": rmse_m} for max_s, rmse_m in trade(*case)] if gust_m_s2 else [],
+        "trade": [{"max_s": most, "rmse_m": rmse} for most, rmse in trade(*case) if rmse < math.inf]
+        if gust_m_s2
+        else [],
     }
 
 
@@ -120,7 +122,7 @@ def main(arguments=None):
             progress.clear()
             show(rows[-1])
         for point in limits["trade"]:
-            print("H2-optimal with max|S| %5.2f: %6.1f mm" % (point["max_s"], 1e3 * point["rmse_m"]))
+            print("limit with max|S| up to %.1f: %5.1f mm" % (point["max_s"], 1e3 * point["rmse_m"]))
     except ValueError as error:
         parser.error(str(error))
     except (ChildProcessError, KeyboardInterrupt) as error:

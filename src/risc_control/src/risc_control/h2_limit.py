@@ -15,7 +15,7 @@ so it adds nothing.
 
 Without a weight commands are as large as it takes, beyond what any vehicle obeys: a bound that no controller passes.
 With the weight that keeps their RMS within a part of the full scale, it is that of linear controllers whose commands
-are obeyed. Both know their plant so well that they have next to no margins: `trade` says what margins cost. What real
+are obeyed. Both trust their plant so much that they have next to no margins: `trade` says what margins cost. What real
 controllers pay besides: plants that are not their type, courses that tilt.
 """
 
@@ -30,7 +30,8 @@ from risc_lab.frames import GRAVITY_M_S2
 
 _INSTANTS = 16  # of the time between two commands, at which the error is looked at
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-16, 1e4  # [s^4] of a squared command, an acceleration, over that of a squared position
-_TRADE_WEIGHTS = np.geomspace(1e-6, 1.0, 7)
+_TRADE_S = 1.6, 1.8, 2.0, 2.5, 3.0, 4.0, 6.0  # largest |S|
+_TRADE_WEIGHTS, _TRADE_DOUBTS = np.geomspace(1e-5, 1.0, 16), (0.0, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.3)
 _DECAY_S = 8.0  # of a pulse
 
 
@@ -141,50 +142,78 @@ def rms(axis, K, delay_s, hold_s, frame_s):
     return math.sqrt(errors.mean()), math.sqrt(K @ known @ K)
 
 
-def max_sensitivity(axis, K, delay_s, hold_s, frame_s):
-    """Largest |S| of the sampled loop, broken at the command, up to half the rate of the commands.
+def sampled_loop(axis, K, doubt, delay_s, hold_s, frame_s):
+    """(RMS of x[0], largest |S|) of the loop with this K, and a filter that does not believe all it knows.
 
-    As `risc_experiments.loop_margins` finds it in flights: the commands after a pulse that is one command long, which
-    filter and predictor do not know of. Frames and delay are rounded to whole parts of a hold, and to frames.
+    doubt: density of white noise on u [m/s^2/sqrt(Hz)] that the filter reckons with and that is not there: it makes the
+    loop robust, and the filter a worse one (loop transfer recovery).   |S|: broken at the command, up to half the rate
+    of the commands, as `risc_experiments.loop_margins` finds it in flights: from the commands that follow a pulse, one
+    command long, of which filter and predictor do not know.   Frames and delay are rounded, to whole parts of a hold
+    and to frames; the rest is as of `rms`. Raises ValueError for a loop that is not stable.
     """
-    H, frames = axis.H, max(1, round(hold_s / frame_s))  # of a hold
+    n, H, frames = len(axis.b), axis.H, max(1, round(hold_s / frame_s))  # of a hold
+    late = round(delay_s * frames / hold_s)  # frames
     Phi, Gamma, W = _over(axis, hold_s / frames)
     R = axis.R * frame_s * frames / hold_s  # as much noise in all
-    P = solve_discrete_are(Phi.T, H.T, W, R)
+    P = solve_discrete_are(Phi.T, H.T, W + doubt**2 * hold_s / frames * np.outer(axis.b, axis.b), R)
     L = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    late = round(delay_s * frames / hold_s)
-    x, known, answers = np.zeros(len(Phi)), np.zeros(len(Phi)), []
-    on_their_way = [0.0] * late  # the command of each of the next frames
-    for k in range(round(_DECAY_S / hold_s) * frames):
-        known = known + L @ (H @ (x - known))
-        if k % frames == 0:
-            ahead = known
-            for u in on_their_way:
-                ahead = Phi @ ahead + Gamma * u
-            on_their_way += [-K @ ahead] * frames
-        u = on_their_way.pop(0)
-        if (k - late) % frames == 0 and k >= late:
-            answers.append(u)
-        x = Phi @ x + Gamma * (u + (late <= k < late + frames))
-        known = Phi @ known + Gamma * u
-    frequencies_rad_s = np.geomspace(0.1, math.pi / hold_s, 1000)
+
+    # state: x, what is known of it, the command in force, those of the frames to come until the newest
+    size, now, newest = 2 * n + late + 1, 2 * n, 2 * n + late
+    x, known, ahead = slice(0, n), slice(n, 2 * n), np.zeros((n, size))
+    see, command, move = np.eye(size), np.eye(size), np.eye(size, k=1)
+    see[known, x], see[known, known] = L @ H, np.eye(n) - L @ H
+    ahead[:, known] = np.eye(n)
+    for k in range(now, newest):
+        ahead = Phi @ ahead
+        ahead[:, k] += Gamma
+    command[newest] = -K @ ahead
+    move[:now] = 0.0
+    move[x, x] = move[known, known] = Phi
+    move[x, now] = move[known, now] = Gamma
+    move[newest, newest] = 1.0
+    noise, pulse = np.zeros((size, size)), np.zeros(size)
+    noise[x, x], noise[known, known], pulse[x] = W, L @ R @ L.T, Gamma
+
+    turn, covariance, steps = np.eye(size), np.zeros((size, size)), []
+    for k in range(frames):
+        decide = command if k == 0 else np.eye(size)
+        step, moved = move @ decide @ see, move @ decide
+        moved_noise = moved[:, known] @ noise[known, known] @ moved[:, known].T
+        moved_noise[x, x] += W
+        steps.append((step, moved_noise, decide @ see))
+        turn, covariance = step @ turn, step @ covariance @ step.T + moved_noise
+    if not np.abs(np.linalg.eigvals(turn)).max() < 1.0:
+        raise ValueError("the loop with this gain and doubt is not stable: %r, %r" % (K, doubt))
+    covariance, variances = solve_discrete_lyapunov(turn, covariance), []
+    for step, moved_noise, _ in steps:
+        variances.append(covariance[0, 0])
+        covariance = step @ covariance @ step.T + moved_noise
+
+    first = late % frames  # in which a command comes into force
+    state, answers = np.zeros(size), []
+    for k in range(first, first + round(_DECAY_S / hold_s) * frames):
+        step, _, decided = steps[k % frames]
+        if (k - first) % frames == 0:
+            answers.append(decided[now] @ state)
+        state = step @ state + (pulse if k - first < frames else 0.0)
+    frequencies_rad_s = np.geomspace(0.1, math.pi / hold_s, 300)
     turns = np.exp(-1j * hold_s * np.outer(frequencies_rad_s, np.arange(len(answers))))
-    return float(np.abs(1.0 + turns @ answers).max())
+    return math.sqrt(np.mean(variances)), float(np.abs(1.0 + turns @ answers).max())
 
 
 def trade(vehicle_type, pose_covariance, gust_m_s2, gust_time_s, latency_s=0.0, frame_s=0.005):
-    """[(largest |S| of the worst axis, RMSE [m])]: what margins cost, from bold controllers to timid ones.
+    """[(largest |S| in any axis, least RMSE [m])]: what margins cost.
 
-    They are the H2-optimal ones of a growing weight on the command. Arguments as of `gust_limit_m`.
+    Of controllers that are tuned by two numbers, weight of the command and doubt of the filter, so that others may do
+    better. No RMSE (infinite) where none has such margins. Arguments as of `gust_limit_m`.
     """
-    axes = axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s)
-    times = _times(vehicle_type, latency_s, frame_s)
-    curve = []
-    for weight in _TRADE_WEIGHTS:
-        loops = [(axis, optimal_gain(axis, times[1], weight)) for axis in axes]
-        worst = max(max_sensitivity(*loop, *times) for loop in loops)
-        curve.append((worst, math.hypot(*(rms(*loop, *times)[0] for loop in loops))))
-    return curve
+    times, fronts = _times(vehicle_type, latency_s, frame_s), []
+    for axis in axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s):
+        gains = [optimal_gain(axis, times[1], weight) for weight in _TRADE_WEIGHTS]
+        loops = [sampled_loop(axis, K, doubt, *times) for K in gains for doubt in _TRADE_DOUBTS]
+        fronts.append([min((error for error, s in loops if s <= most), default=math.inf) for most in _TRADE_S])
+    return [(most, math.hypot(*errors)) for most, errors in zip(_TRADE_S, zip(*fronts))]
 
 
 def _times(vehicle_type, latency_s, frame_s):
