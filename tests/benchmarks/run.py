@@ -1,4 +1,6 @@
-"""`./maap bench [NAME ...] [--json FILE]`: the measurements behind the figures in README and docs."""
+"""`./maap bench [NAME ...] [--json FILE]`, `./maap bench NAME [its options]`: the measurements behind the figures in
+README and docs.
+"""
 
 import argparse
 import json
@@ -44,20 +46,25 @@ BENCHMARKS = {
               [PYTHON, str(HERE / "scale.py"), "--json", "{json}"]),
     "faults": ("whole graph in real time: from the begin of a fault to the command on the wire, many events of each",
                [PYTHON, str(HERE / "faults.py"), "--json", "{json}"]),
+    "gate": ("what the estimator refuses: good poses, false frames, outages; NEES and NIS (options: --gate off ...)",
+             [PYTHON, str(HERE / "gate.py"), "--json", "{json}"]),
+    "tracking": ("accuracy of courses beside the H2 limit (options: --gust, --delay, --loss, --swap ...)",
+                 [PYTHON, str(HERE / "tracking.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
-# faults, flights and scale take half an hour and more, long_bag a big disk; vision rewrites tables of docs/vision.md
-BY_NAME_ONLY = {"faults", "flights", "long_bag", "profile", "scale", "vision"}
+# faults, flights and scale take half an hour and more, gate and tracking some minutes, long_bag a big disk; vision
+# rewrites tables of docs/vision.md
+BY_NAME_ONLY = {"faults", "flights", "gate", "long_bag", "profile", "scale", "tracking", "vision"}
 
 
-def run(name):
-    """Run one benchmark; it prints its table. Returns (exit code, its figures)."""
+def run(name, options=()):
+    """Run one benchmark with options of its own; it prints its table. Returns (exit code, its figures)."""
     what, command = BENCHMARKS[name]
     print("== %s: %s" % (name, what), flush=True)
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder) / "figures.json"
-        code = subprocess.call([part.replace("{json}", str(path)) for part in command])
+        code = subprocess.call([part.replace("{json}", str(path)) for part in command] + list(options))
         figures = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
     print(flush=True)
     return code, figures
@@ -65,16 +72,20 @@ def run(name):
 
 def main():
     """Command line. Returns 1 when a benchmark failed or missed what it requires."""
-    parser = argparse.ArgumentParser(prog="maap bench", description=__doc__)
+    parser = argparse.ArgumentParser(prog="maap bench", description=__doc__, allow_abbrev=False)
     names = "; ".join("%s: %s" % (name, what) for name, (what, _) in BENCHMARKS.items())
     help_text = "%s. Default: all but %s" % (names, ", ".join(sorted(BY_NAME_ONLY)))
     parser.add_argument("names", nargs="*", metavar="NAME", help=help_text)
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write all figures here")
-    args = parser.parse_args()
+    args, options = parser.parse_known_args()
+    if options and len(args.names) != 1:
+        parser.error("%s: options are those of one benchmark; write ./maap bench NAME %s" % (
+            options[0], " ".join(options)))  # fmt: skip
     unknown = sorted(set(args.names) - set(BENCHMARKS))
     if unknown:
         parser.error("unknown: %s; known are %s" % (", ".join(unknown), ", ".join(BENCHMARKS)))
-    results = {name: run(name) for name in args.names or [name for name in BENCHMARKS if name not in BY_NAME_ONLY]}
+    chosen = args.names or [name for name in BENCHMARKS if name not in BY_NAME_ONLY]
+    results = {name: run(name, options) for name in chosen}
     if args.json:
         figures = {name: figures for name, (_, figures) in results.items()}
         if len(results) == 1:  # also without its name, as its own program writes them

@@ -165,6 +165,44 @@ def test_its_covariance_is_true(name):
     assert low < np.mean(squares) < high
 
 
+def test_its_innovations_are_those_that_the_gate_looks_at():
+    """Mean NIS of 2000 frames within its 95 % band, and nothing of it is changed by who asks."""
+    asked, other, found = Flown(11), Flown(11), []
+    asked.fly(1.5), other.fly(1.5)
+    for _ in range(2000):
+        asked.fly(DT_S), other.fly(DT_S)
+        innovations = asked.estimator.innovations()
+        assert innovations.taken.all()
+        found.append(innovations.squares[0])
+    np.testing.assert_array_equal(asked.estimator.covariances(), other.estimator.covariances())
+    for squares, freedom in zip(np.transpose(found), (3, 3, 6)):
+        low, high = chi2.ppf([0.025, 0.975], freedom * len(found)) / len(found)
+        assert low < squares.mean() < high
+    gate = chi2.isf(1e-5, 3)
+    asked.estimator.update(*beside(asked.step(), [0.5, 0.0, 0.0]))
+    innovations = asked.estimator.innovations()
+    assert innovations.squares[0, 0] > gate > innovations.squares[0, 1]
+    assert innovations.taken.tolist() == [[False, True]]
+    stamp_s, layout, markers_m = asked.step()
+    asked.estimator.update(stamp_s, layout, np.full_like(markers_m, np.nan))
+    innovations = asked.estimator.innovations()
+    assert np.isnan(innovations.squares).all() and not innovations.taken.any()
+
+
+def test_innovations_are_those_of_the_frame_whatever_is_measured_on_board_meanwhile():
+    plain, busy = Flown(12), Flown(12)
+    plain.fly(1.5), busy.fly(1.5)
+    for flown in (plain, busy):
+        later_s = flown.time_s + 1.5 * DT_S  # of the next frame
+        if flown is busy:
+            flown.estimator.on_board("fluffy_II", later_s, "velocity", np.array([0.1, 0.1, 0.0]))
+        flown.fly(DT_S)
+    np.testing.assert_array_equal(busy.estimator.innovations().squares, plain.estimator.innovations().squares)
+    first = Flown(13)
+    first.fly(DT_S)
+    assert np.isnan(first.estimator.innovations().squares).all(), "there was nothing to predict it by"
+
+
 def test_what_cannot_be_true_is_refused_at_once():
     """Half a metre beside for 0.2 s: never shown there, and right again with the first good frame. Without the gate the
     state goes along.

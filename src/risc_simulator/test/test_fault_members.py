@@ -58,6 +58,16 @@ def test_marker_swap_exchanges_the_same_two_labels():
     assert len(swapped) == 1
 
 
+def test_marker_swap_with_a_probability_comes_and_goes_with_other_labels():
+    lab, found = picture("marker_swap:9,risc2,severity=0.2", frames=1000)
+    swapped = [
+        tuple(np.flatnonzero((lab.markers(a, "risc2") != lab.markers(b, "risc2")).any(axis=1))) for a, b in found
+    ]
+    share = sum(map(bool, swapped)) / len(swapped)
+    assert 0.15 < share < 0.25 and {len(labels) for labels in swapped} == {0, 2}
+    assert len(set(swapped)) > 4
+
+
 def test_name_exchange_exchanges_two_vehicles():
     lab, ((exact, seen),) = picture("name_exchange:risc2")
     changed = [name for name in lab.world.vehicles if (lab.markers(seen, name) != lab.markers(exact, name)).any()]

@@ -51,7 +51,7 @@ def advance(x, u, bodies, step_s):
     """One step of all of them, in the air and with all the room of the world."""
     n, nowhere = x.shape[1], (1e9, 1e9, 2e9)
     flags, columns = np.ones((2, n), dtype=bool), np.arange(n, dtype=np.uintp)
-    integrator().advance(x, u, flags, columns, bodies, step_s, np.empty((0, 3)), nowhere)
+    integrator().advance(x, u, flags, columns, bodies, step_s, nowhere)
 
 
 def derivative(x, u, bodies):

@@ -186,6 +186,10 @@ class StatesEstimator(_Estimator):
     def counts(self):
         return replace(super().counts, **self._fit.refusals)
 
+    def innovations(self):
+        """`filters.Innovations` of the newest frame; None if the filter has none."""
+        return self._filter.innovations(self.poses)
+
     def update(self, stamp_s, layout, markers_m):
         """Estimate one frame. layout and markers_m: see `PoseFit.update`.
 

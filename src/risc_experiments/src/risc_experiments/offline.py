@@ -51,6 +51,7 @@ from risc_lab.lab.fleet import wider_m
 from risc_lab.states import S, States
 from risc_simulator.faults import FaultEvent
 from risc_simulator.injector import Injector
+from risc_simulator.models.gusts import Gusts
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.video.polygons import clip_polygons, coverage
 from risc_simulator.wires import Wires
@@ -86,7 +87,7 @@ class Flight:
     psi_deg: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
     plant: dict = field(default_factory=dict)  # what the true vehicles have otherwise, see PlantParams
-    gusts: bool = False
+    gusts: bool | Gusts = False  # moving air; True: the usual gusts
     noise: bool = True  # of the cameras, and of sensors on board
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`

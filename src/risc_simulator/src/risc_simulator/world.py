@@ -21,18 +21,17 @@ from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_simulator.bodies import load_body
 from risc_simulator.models.flight import Crash, FlightPhase, VehicleState
-from risc_simulator.models.integrator import GUST_TIME_CONSTANT_S, REST_HEIGHT_M, closest, integrator
+from risc_simulator.models.gusts import Gusts
+from risc_simulator.models.integrator import REST_HEIGHT_M, closest, integrator
 from risc_simulator.models.perturbed_plant import draw_plant, fill_records
 from risc_simulator.models.quadrotor import U, X, level_motion
 from risc_simulator.vehicles import virtual_type
 
 NET_REBOUND_M_S = 0.5
-GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
 _EAST_IS_RIGHT = np.array([1.0, -1.0, 1.0])  # the cortex frame's y points left
-_STILL = np.empty((0, 3))  # innovations of a wind that does not change by itself
 
 
 class Vehicle:
@@ -173,8 +172,9 @@ class World:
     def __init__(self, fleet, vehicle_types, templates, seed=0, perturbed=True, gusts=False, step_s=0.005):
         """fleet: Fleet. vehicle_types: VehicleType by the name used in the fleet. templates: Template by name.
 
-        perturbed: true plants are drawn around the nominal ones. gusts: moving air. step_s: grid (see test_quadrotor.py
-        for what it costs in accuracy). Raises ValueError when fleet, types and templates do not fit each other.
+        perturbed: true plants are drawn around the nominal ones. gusts: moving air, `Gusts`; True: the usual ones.
+        step_s: grid (see test_quadrotor.py for what it costs in accuracy). Raises ValueError when fleet, types and
+        templates do not fit each other, and for gusts that cannot be.
         """
         if not 0.0 < step_s <= 0.02:
             raise ValueError("step_s must be in (0, 0.02], got %r" % (step_s,))
@@ -250,9 +250,10 @@ class World:
         self._slope, self._thrust_n = np.empty((rows, n)), np.empty(n)
         self._slope_at = -1  # step whose slopes and thrusts these are
 
-        self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n if gusts else 0)]
+        self._gusts = Gusts() if gusts is True else gusts or None
+        self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n if self._gusts else 0)]
         self._wind_m_s = None  # (n, 3) north, east, up: mean velocity of the air; None: it has never been set
-        self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - math.exp(-step_s / GUST_TIME_CONSTANT_S) ** 2)
+        self._scale_gusts()
         self._load_compiled()
 
     # ------------------------------------------------------------------ time
@@ -284,8 +285,9 @@ class World:
                 if vehicle.firmware.wake_s <= time_s:
                     vehicle.firmware.wake(time_s, self._motions[i])
                     self._take_over(i)
-            gusts = [self._gust_scale * rng.standard_normal(3) for rng in self._gust_rngs]
-            touching = self._advance(self._blow(gusts))
+            if self._gusts:
+                self._blow()
+            touching = self._advance()
             self._steps += 1
             if touching:
                 for i in np.flatnonzero(self._flags[1]).tolist():
@@ -296,14 +298,19 @@ class World:
             if touch:
                 self._meet_each_other()
 
-    def _blow(self, gusts):
-        """Innovations of the wind, (n, 3), that keep its mean; `_STILL` without gusts."""
-        if not gusts:
-            return _STILL
-        gusts = np.array(gusts)
+    def _blow(self):
+        """Let the air move by itself for a step, around its mean velocity."""
+        gusts_m_s = self._gust_scale * np.array([rng.standard_normal(3) for rng in self._gust_rngs])
+        keep, wind_m_s = self._gusts.keep(self.step_s), self._u[U.WIND_N : U.WIND_UP + 1]
         if self._wind_m_s is not None:
-            gusts += (1.0 - math.exp(-self.step_s / GUST_TIME_CONSTANT_S)) * self._wind_m_s
-        return gusts
+            gusts_m_s += (1.0 - keep) * self._wind_m_s
+        wind_m_s[:] = keep * wind_m_s + gusts_m_s.T
+
+    def _scale_gusts(self):
+        """For the vehicles as they are now: (n, 3) 1 sigma of what a step adds to the velocity of the air."""
+        if self._gusts:
+            std_m_s = np.array([self._gusts.std_m_s(vehicle.plant) for vehicle in self._vehicles])
+            self._gust_scale = std_m_s * math.sqrt(1.0 - self._gusts.keep(self.step_s) ** 2)
 
     def _change_wind(self, i, by_m_s):
         if self._wind_m_s is None:
@@ -319,18 +326,20 @@ class World:
         for kind in self._kinds:
             for c in np.flatnonzero(kind.columns == i).tolist():
                 fill_records(kind.records[c : c + 1], [vehicle.plant])
+        self._scale_gusts()
         self._slope_at = -1
 
-    def _advance(self, gusts):
+    def _advance(self):
         """Move all by a step. Returns whether one of them touches floor or net."""
-        touching, rest = False, (self.step_s, gusts, self._net_m)
+        touching = False
         for kind in self._kinds:
-            touching |= kind.advance(self._x, self._u, self._flags, kind.columns, kind.records, *rest)
+            vehicles = kind.columns, kind.records
+            touching |= kind.advance(self._x, self._u, self._flags, *vehicles, self.step_s, self._net_m)
         return touching
 
     def _load_compiled(self):
         """Call once what is compiled: nothing is loaded in flight. Nobody moves: all stand."""
-        self._advance(_STILL)
+        self._advance()
         self.truth()
         self.markers_m()
         closest(self._x, self._lifted, self._radius_m)

@@ -7,6 +7,7 @@ What runs in every frame is compiled, one call for all bodies, see `risc_lab/com
 """
 
 import enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,15 @@ class Status(enum.IntEnum):
 
 # What has become of the poses of a body, from the start on; `risc_maap_msgs/BodyStatus` explains them.
 COUNTS = record(*[(name, int) for name in ("poses", "positions_refused", "attitudes_refused", "late", "resets")])
+
+
+class Innovations(NamedTuple):
+    """How far the poses of the newest frame were from what was predicted. Rows are bodies."""
+
+    # (n, 3) y^T S^-1 y of position, of attitude (3 degrees of freedom each) and of both (6); NaN where there was no
+    # pose, or nothing to predict it by
+    squares: np.ndarray
+    taken: np.ndarray  # (n, 2) bool: position, attitude
 
 
 class VelocityFilter:
@@ -97,6 +107,9 @@ class VelocityFilter:
 
         NaN where the model knows nothing: of a body that follows no known command. Called only when somebody asks.
         """
+
+    def innovations(self, poses):
+        """Innovations of the newest frame, whose `Poses` these are; None if it has none. Only when somebody asks."""
 
 
 def make_filter(name=DEFAULT, given=None):

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from risc_estimation.ekf import MODEL, TRACK, WORK, acceleration, correct, innovate, predict
-from risc_estimation.filters import COMMAND, COUNTS, Status, VelocityFilter
+from risc_estimation.filters import COMMAND, COUNTS, Innovations, Status, VelocityFilter
 from risc_lab.command_history import CommandHistory, append_command
 from risc_lab.compiled import compiled, record, with_row
 from risc_lab.frames import GRAVITY_M_S2, wrap_one_angle
@@ -151,6 +151,13 @@ class Filter(VelocityFilter):
         found = np.full((len(self.visible), 3), np.nan)
         _accelerations(self._models, self._bodies, self._slots, self._sent, self._work, found)
         return found
+
+    def innovations(self, poses):
+        n = len(self.visible)
+        squares, taken = np.full((n, 3), np.nan), np.zeros((n, 2), dtype=bool)
+        bodies = self._models, self._bodies, self._slots, self._sent
+        _innovations(poses.stamp_s, squares, taken, *bodies, np.zeros(1, TRACK), self._work)
+        return Innovations(squares, taken)
 
 
 def model_of(params, template, vehicle_type):
@@ -365,6 +372,26 @@ def _take_pose(track, z, R, taken, settings, work):
     elif taken[1]:
         innovate(track, z, R, rows, 3, 3, work)
         correct(track, rows, 3, 3, work)
+
+
+@compiled
+def _innovations(stamp_s, squares, taken, models, bodies, slots, sent, spare, work):
+    """Fill squares and taken of a frame's poses: the event before is predicted to the frame once more."""
+    rows, track = MEASURES[POSE], spare[0]
+    for i in range(len(bodies)):
+        n, oldest = slots.shape[1], bodies[i].newest - bodies[i].count + 1
+        for k in range(bodies[i].newest, oldest, -1):
+            slot, before = slots[i, k % n], slots[i, (k - 1) % n]
+            if slot.track.stamp_s < stamp_s:
+                break
+            if slot.kind != POSE or slot.track.stamp_s > stamp_s:
+                continue
+            track.x[:], track.P[:, :], track.stamp_s = before.track.x, before.track.P, before.track.stamp_s
+            predict(track, stamp_s, models[i], sent[i], work[0])
+            for j in range(3):
+                squares[i, j] = innovate(track, slot.z, slot.R, rows, 3 * (j % 2), 6 if j == 2 else 3, work[0])
+            taken[i, 0], taken[i, 1] = slot.taken[0], slot.taken[1]
+            break
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Two markers of the body have each other's label; which ones, it keeps."""
+"""Two markers of the body have each other's label; which ones, it keeps. In each frame with this probability."""
 
 from risc_simulator.faults._frames import changed
 
@@ -8,6 +8,9 @@ def make(severity, rng, bodies):
 
     def swap(markers_m):
         count = len(markers_m)
+        if severity < 1.0 and rng.random() >= severity:
+            pairs.pop(count, None)  # the next time others
+            return markers_m
         if count not in pairs:
             pairs[count] = rng.choice(count, 2, replace=False)
         markers_m[pairs[count]] = markers_m[pairs[count][::-1]]

@@ -20,7 +20,6 @@ from risc_lab.compiled import compiled
 from risc_simulator.models.quadrotor import U, X, slope
 
 REST_HEIGHT_M = 0.08  # of a vehicle's centre above the floor when it stands
-GUST_TIME_CONSTANT_S = 1.5  # first-order (Dryden-like) correlation
 _TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
 
 # --- the equations of one kind of system -----------------------------------------------------------------------------
@@ -76,23 +75,18 @@ def runge_kutta(x, inputs, vehicle, step_s, work):
     return k1[X.H]
 
 
-def advance(x, u, flags, columns, vehicles, step_s, gusts, net_m):
+def advance(x, u, flags, columns, vehicles, step_s, net_m):
     """One step of all systems of this kind. Returns whether one of them touches floor or net.
 
     x (rows, n), u (9, n), flags (2, n; lifted and touches): of all vehicles, those of this kind in `columns` (k,).
-    vehicles (k,): their records.  gusts: (n, 3) innovations of the wind, (0, 3): none.
-    net_m: half its extent in x and in y, and its height.
+    vehicles (k,): their records.  net_m: half its extent in x and in y, and its height.
     """
     lifted, touches = flags[0], flags[1]
     work = np.empty((5, ROWS))
-    gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
     anyone_touches = False
     for c in range(len(columns)):
         i = columns[c]
         inputs, vehicle = u[:, i], vehicles[c]
-        if len(gusts):
-            for axis in range(3):
-                inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gusts[i, axis]
         touches[i] = False
         if lifted[i]:
             state = x[:, i]

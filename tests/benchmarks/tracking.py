@@ -1,0 +1,149 @@
+"""How accurately courses are flown, beside the least error that any controller could have: `./maap bench tracking`.
+
+Simulated, offline: three AR.Drones with the default controller, every seed with another heading. `--gust A`: moving air
+gives each vehicle an acceleration of so much (1 sigma along each axis, 0.5 s of correlation). `--loss P`, `--swap P`:
+frames are lost, and two markers of a vehicle have each other's label, in each frame with this probability.
+
+limit_m is that of `risc_control.h2_limit`: a controller that knows the nominal plant, the delay, the noise of a pose
+and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands are of any size;
+limit_in_scale_m: three times their RMS is within the full scale of the type. Both have next to no margins, and `trade`
+says what these cost: the least RMSE of such controllers, tuned by two numbers, with no larger |S| than so.
+"""
+
+import argparse
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from data_extraction.progress import Progress, bar
+from risc_control.controllers import REGISTRY as CONTROLLERS
+from risc_control.h2_limit import gust_limit_m, trade
+from risc_estimation.pose_fit import PoseFit, PoseFitParams
+from risc_experiments.estimators import add_option, estimator_of
+from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, fly_all, lab_of
+from risc_experiments.offline_chain import FRAME_S, LATENCY_S
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab import load_templates
+from risc_simulator.faults import EVERYONE, FaultEvent
+from risc_simulator.models.gusts import Gusts
+from risc_simulator.models.mocap_cameras import CameraParams
+
+COURSES = "circle", "flat8", "slanted8"
+GUST_TIME_S = 0.5
+SIGMAS_IN_SCALE = 3.0
+
+
+def flight_of(args):
+    """The Flight that all others are variants of. args: of the command line."""
+    lasting = {"duration_s": math.inf}
+    faults = [FaultEvent("loss", severity=args.loss, **lasting)] if args.loss else []
+    faults += [FaultEvent("marker_swap", EVERYONE, severity=args.swap, **lasting)] if args.swap else []
+    return Flight(
+        duration_s=args.duration,
+        delay_s=args.delay,
+        perturbed=args.plant == "perturbed",
+        gusts=Gusts(push_m_s2=args.gust, time_s=GUST_TIME_S) if args.gust else False,
+        controller=args.controller,
+        estimator=args.estimator,
+        wire_faults=tuple(faults),
+    )
+
+
+def limits_of(flight, gust_m_s2):
+    """{limit_m, limit_in_scale_m, trade} of the first vehicle of a Flight in gusts, as its type is."""
+    fleet, _, (vehicle_type, *_) = lab_of(flight)
+    covariance = pose_covariance(load_templates(fleet=fleet)[fleet.vehicles[0].template])
+    case = vehicle_type, covariance, gust_m_s2, GUST_TIME_S, LATENCY_S, FRAME_S
+    return {
+        "limit_m": gust_limit_m(*case),
+        "limit_in_scale_m": gust_limit_m(*case, sigmas=SIGMAS_IN_SCALE),
+        "trade": [{"max_s": most, "rmse_m": rmse} for most, rmse in trade(*case) if rmse < math.inf]
+        if gust_m_s2
+        else [],
+    }
+
+
+def pose_covariance(template):
+    """(6, 6) of the pose of a vehicle that is level and heads along x, with the noise of the cameras."""
+    fit = PoseFit({template.name: template}, PoseFitParams(marker_noise_m=CameraParams().noise_std_m))
+    markers_m = np.array([0.0, 0.0, 1.0]) + template.markers_m @ rotation_body_to_cortex(0.0, 0.0, 0.0).T
+    fit.update(0.0, ((template.name, len(markers_m)),), markers_m)
+    return fit.poses.covariances()[0]
+
+
+def row_of(course, results, limits):
+    """Figures of a course; without numbers for the worst when one of its flights did not come to its end."""
+    flown = [result for result in results if not isinstance(result, RuntimeError) and not any(result.landed)]
+    errors_m, failed = [error_m for result in flown for error_m in result.rmse_m.tolist()], len(results) - len(flown)
+    return {
+        "course": course,
+        "rmse_median_m": float(np.median(errors_m)) if flown else None,
+        "rmse_worst_m": None if failed else max(errors_m),
+        "limit_m": limits["limit_m"],
+        "limit_in_scale_m": limits["limit_in_scale_m"],
+        "vehicles": len(errors_m),
+        "failed": failed,
+    }
+
+
+def main(arguments=None):
+    """Print a table; with --json also write it. Returns 1 when a flight did not come to its end."""
+    parser = argparse.ArgumentParser(prog="maap bench tracking", description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--plant", choices=("nominal", "perturbed"), default="perturbed", help="vehicles as their type is, or drawn "
+        "around it (default)")  # fmt: skip
+    add("--delay", type=float, default=0.1, metavar="S", help="of the link (default: 0.1)")
+    add("--gust", type=float, default=0.0, metavar="A", help="1 sigma of what gusts do [m/s^2] (default: 0)")
+    add("--loss", type=float, default=0.0, metavar="P", help="probability of a frame to be lost (default: 0)")
+    add("--swap", type=float, default=0.0, metavar="P", help="of two markers, of each vehicle in each frame, to have "
+        "each other's label (default: 0)")  # fmt: skip
+    add("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default: 10)")
+    add("--duration", type=float, default=20.0, metavar="S", help="judged time of each flight (default: 20 s)")
+    add("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
+    add_option(add)
+    add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
+    add("--json", type=argparse.FileType("w"), metavar="FILE", help="also write the figures here")
+    args = parser.parse_args(arguments)
+    progress = Progress()
+    try:
+        if args.seeds < 1 or not args.duration > 0.0 or args.gust < 0.0:
+            raise ValueError("--seeds is 1 or more, --duration more than 0, --gust 0 or more")
+        flight, rows = flight_of(args), []
+        limits = limits_of(flight, args.gust)
+        seeds = [replace(flight, seed=seed, psi_deg=YAW_BY_SEED_DEG * seed) for seed in range(1, args.seeds + 1)]
+        flights = [replace(one, trajectory=course) for course in COURSES for one in seeds]
+        outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
+        print("%-9s %9s %9s %9s %12s" % ("course", "median", "worst", "limit", "in scale"))
+        for course in COURSES:
+            rows.append(row_of(course, [next(outcomes) for _ in seeds], limits))
+            progress.clear()
+            show(rows[-1])
+        for point in limits["trade"]:
+            print("limit with max|S| up to %.1f: %5.1f mm" % (point["max_s"], 1e3 * point["rmse_m"]))
+    except ValueError as error:
+        parser.error(str(error))
+    except (ChildProcessError, KeyboardInterrupt) as error:
+        progress.say("tracking: %s" % (error if str(error) else "interrupted"))
+        return 130 if isinstance(error, KeyboardInterrupt) else 1
+    if args.json:
+        figures = {"simulated": True, "estimator": estimator_of(args.controller, args.estimator)}
+        options = ("plant", "delay", "gust", "loss", "swap", "seeds", "duration", "controller")
+        figures |= {name: getattr(args, name) for name in options}
+        with args.json:
+            json.dump({**figures, "rows": rows, "trade": limits["trade"]}, args.json, indent=2)
+    return 1 if any(row["failed"] for row in rows) else 0
+
+
+def show(row):
+    """Print a row."""
+    numbers = ["%6.1f mm" % (1e3 * row[key]) if row[key] is not None else "-" for key in
+               ("rmse_median_m", "rmse_worst_m", "limit_m", "limit_in_scale_m")]  # fmt: skip
+    failed = "  %d flights did not come to their end" % row["failed"] if row["failed"] else ""
+    print("%-9s %9s %9s %9s %12s%s" % (row["course"], *numbers, failed), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

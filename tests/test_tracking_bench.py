@@ -1,0 +1,86 @@
+"""The benchmark of tracking, in small: its rows, which scripts rely on, what its options do, and the limit."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tracking as bench
+
+from risc_control.h2_limit import gust_limit_m
+from risc_experiments.offline import Flight, fly
+from risc_lab.lab import load_templates
+
+SHORT = ["--seeds", "1", "--duration", "6"]
+KEYS = {"course", "rmse_median_m", "rmse_worst_m", "limit_m"}
+
+
+def rows(folder, *options):
+    file = folder / "figures.json"
+    assert bench.main([*SHORT, *options, "--json", str(file)]) == 0
+    return json.loads(file.read_text(encoding="utf-8"))["rows"]
+
+
+def test_rows_in_calm_air_and_in_gusts(tmp_path, capsys):
+    calm, gusty = rows(tmp_path, "--plant", "nominal"), rows(tmp_path, "--plant", "nominal", "--gust", "0.1")
+    for row in (*calm, *gusty):
+        assert set(row) >= KEYS and row["vehicles"] == 3 and row["failed"] == 0
+        assert 0.0 < row["rmse_median_m"] <= row["rmse_worst_m"] < 0.1
+    assert [row["course"] for row in calm] == ["circle", "flat8", "slanted8"]
+    for quiet, blown in zip(calm, gusty):
+        assert quiet["limit_m"] == 0.0
+        assert quiet["rmse_median_m"] < 0.5 * blown["rmse_median_m"]
+    best_m = min(row["rmse_median_m"] for row in gusty)
+    assert 0.001 < gusty[0]["limit_m"] < gusty[0]["limit_in_scale_m"] < best_m, "nobody flies better than the best"
+    assert "limit" in capsys.readouterr().out
+
+
+def test_lost_frames_and_swapped_markers_reach_the_flight():
+    clean, lossy, swapped = (bench.flight_of(arguments(**given)) for given in ({}, {"loss": 0.05}, {"swap": 0.01}))
+    assert [(fault.fault, fault.severity) for fault in lossy.wire_faults] == [("loss", 0.05)]
+    assert [(fault.fault, fault.severity, fault.vehicle) for fault in swapped.wire_faults] == [
+        ("marker_swap", 0.01, "*")
+    ]
+    errors_m = [fly(replace(flight, vehicles=1)).rmse_m[0] for flight in (clean, lossy, swapped)]
+    assert len(set(errors_m)) == 3 and max(errors_m) < 0.1
+
+
+def arguments(**given):
+    words = {"loss": 0.0, "swap": 0.0, "gust": 0.0, "delay": 0.1, "plant": "nominal", "duration": 1.0}
+    words.update(controller=Flight.controller, estimator=None, **given)
+    return type("Arguments", (), words)
+
+
+def test_the_limit_is_that_of_what_is_flown():
+    flight = bench.flight_of(arguments(gust=0.1, delay=0.2))
+    assert flight.gusts.push_m_s2 == 0.1 and flight.gusts.time_s == 0.5 and not flight.perturbed
+    _, _, (vehicle_type, *_) = bench.lab_of(flight)
+    assert vehicle_type.command_delay_s == 0.2
+    covariance, limits = bench.pose_covariance(load_templates()["fluffy_II"]), bench.limits_of(flight, 0.1)
+    assert limits["limit_m"] == gust_limit_m(vehicle_type, covariance, 0.1, 0.5, 0.006, 0.005)
+    assert all(point["rmse_m"] > limits["limit_m"] and point["max_s"] > 1.0 for point in limits["trade"])
+    # 2 mm of four markers: half of that where the markers are in the middle of the body, and more where they are not
+    assert 0.001**2 < covariance[2, 2] < 0.002**2 and 0.004 < np.sqrt(covariance[3, 3]) < 0.02
+
+
+def test_what_did_not_come_to_its_end_is_told(capsys):
+    row = bench.row_of("circle", [RuntimeError("fell")], {"limit_m": 0.0, "limit_in_scale_m": 0.0})
+    assert row["failed"] == 1 and row["rmse_worst_m"] is row["rmse_median_m"] is None
+    bench.show(row)
+    assert "1 flights did not come to their end" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        (["--seeds", "0"], "--seeds"),
+        (["--gust", "-1"], "--gust"),
+        (["--loss", "1.5"], "loss"),
+        (["--swap", "-0.1"], "marker_swap"),
+        (["--delay", "-1"], "command_delay_s"),
+    ],
+)
+def test_wrong_use_is_refused(wrong, named, capsys):
+    with pytest.raises(SystemExit):
+        bench.main(wrong)
+    assert named in capsys.readouterr().err.splitlines()[-1]
