@@ -169,6 +169,6 @@ def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", 2.0)
     if not brakes:
         monkeypatch.setattr(VehiclePilot, "_brakes", lambda self, now_s: False)
-    fault = parse_fault("link_blackhole:1.95,risc1@7.5")
-    result = fly(Flight("circle", vehicles=1, seed=1, psi_deg=200.0, duration_s=12.0, speed="1.3x", faults=(fault,)))
+    fault = parse_fault("link_blackhole:1.95,risc1@8")
+    result = fly(Flight("circle", vehicles=1, seed=4, psi_deg=200.0, duration_s=12.0, speed="1.3x", faults=(fault,)))
     assert [outcome.outcome for outcome in result.faults] == ["landed" if brakes else "breach"]
