@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks).
+"""mocap_data (Mocap_data), mocap_unidentified (UnidentifiedMarkers) -> cortex_raw (Cortex), states3 (Landmarks).
 
 While somebody listens: mocap_poses (BodyPoses), state_covariances (StateCovariances, of a filter that has them). If the
 filter wants it: what vehicles measure on board and what they were sent. See risc_estimation.state_estimator.
@@ -12,11 +12,12 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from roslib.message import get_message_class
+from rospy.numpy_msg import numpy_msg
 from std_msgs.msg import Header
 
 from risc_estimation import sensors
 from risc_estimation.filters import COMMAND, DEFAULT, REGISTRY
-from risc_estimation.pose_fit import PoseFitParams
+from risc_estimation.pose_fit import NOTHING, PoseFitParams
 from risc_estimation.ros.conversions import EstimateMessages, covariances_to_msg, poses_to_msg
 from risc_estimation.ros.params import NodeParams
 from risc_estimation.state_estimator import StatesEstimator
@@ -31,9 +32,18 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import known_arena, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, MarkerCount, StateCovariances
+from risc_maap_msgs.msg import (
+    BodyPoses,
+    CommandsSent,
+    Counter,
+    EstimatorStatus,
+    MarkerCount,
+    StateCovariances,
+    UnidentifiedMarkers,
+)
 
 _GAP_PERIODS = 1.5  # of frames; after so long without one it is missing
+_MATE_S = 0.001  # a frame waits so long for its markers without a label, which come on a connection of their own
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -58,7 +68,9 @@ class StatesEstimationNode:
         )
         self._period_s = 1.0 / rate_hz
         self._silence_s = params.silence_s
-        self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
+        self._lock = threading.Condition()  # frames, the silence timer and diagnostics have a thread each
+        self._loose_ns, self._loose_m = -1, NOTHING  # the newest markers without a label: stamp, (u, 3) [m]
+        self._told_exchanged = set()
         self._last_receipt_s = None  # of the newest frame that was estimated; monotonic clock
         self._last_said_s = -math.inf  # when states were published that somebody is visible in; the same
         self._delay_s = 0.0  # from exposure to estimate, of the newest frame
@@ -81,6 +93,8 @@ class StatesEstimationNode:
         if kind.COASTS:
             Ticker(self._period_s, self._on_gap, "states between frames")
         self._listen_on_board(self._estimator.on_board_wanted, vehicles)
+        kind = numpy_msg(UnidentifiedMarkers)
+        rospy.Subscriber("mocap_unidentified", kind, self._on_unidentified, queue_size=100, tcp_nodelay=True)
         rospy.Subscriber(
             "mocap_data",
             MocapArrays.Raw,
@@ -115,6 +129,20 @@ class StatesEstimationNode:
             sensors.give(self._estimator, *arguments, message)
 
     @until_shutdown
+    def _on_unidentified(self, message):
+        with self._lock:
+            self._loose_ns, self._loose_m = message.header.stamp.to_nsec(), message.positions.reshape(-1, 3)
+            self._lock.notify_all()
+
+    def _loose_of(self, stamp):
+        """(u, 3) markers without a label of the frame with this stamp [m], as far as they have come."""
+        stamp_ns = stamp.to_nsec()
+        newest = stamp_ns - self._loose_ns < 2e9 * self._period_s  # the frame before had some
+        if newest and self._estimator.misses_a_body:
+            self._lock.wait_for(lambda: self._loose_ns >= stamp_ns, _MATE_S)
+        return self._loose_m if self._loose_ns == stamp_ns else NOTHING
+
+    @until_shutdown
     def _on_frame(self, message):
         with self._lock:
             frame = self._frame.deserialize(message.buff)
@@ -123,7 +151,8 @@ class StatesEstimationNode:
                 self._passed_over += max(header.seq - self._last_seq - 1, 0)
             self._last_seq = header.seq
             taken = self._estimator.frames
-            estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m)
+            loose_m = self._loose_of(header.stamp)
+            estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m, loose_m)
             if self._estimator.frames == taken:
                 return  # frames that are refused are silence, too
             self._last_receipt_s = time.monotonic()
@@ -175,7 +204,9 @@ class StatesEstimationNode:
             poses = self._estimator.poses
             seen = zip(names, poses.marker_counts, poses.present.tolist())
             markers = [MarkerCount(name, *counts) for name, counts, is_present in seen if is_present]
-        numbers = {key: value for key, value in sorted(vars(counts).items()) if key not in ("unknown", "frames")}
+        numbers = {
+            key: value for key, value in sorted(vars(counts).items()) if key not in ("unknown", "exchanged", "frames")
+        }
         known, unknown = len(names), sorted(counts.unknown)
         refused = counts.duplicate_stamps + counts.backward_stamps
         new, rates_hz = self._growth({"frames": counts.frames, "refused": refused, "passed over": passed_over})
@@ -196,6 +227,11 @@ class StatesEstimationNode:
             if name not in self._told_unknown:
                 self._told_unknown.add(name)
                 rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
+        for pair in set(counts.exchanged) - self._told_exchanged:
+            self._told_exchanged.add(pair)
+            rospy.logwarn(
+                "motion capture says '%s' to what is '%s': both are told apart. Correct the names there", *pair[::-1]
+            )
         silence = not told.age_s <= 1.0
         summarise(
             status,

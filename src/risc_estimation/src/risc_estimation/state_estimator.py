@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from risc_estimation.filters import make_filter
-from risc_estimation.pose_fit import PoseFit
+from risc_estimation.pose_fit import NOTHING, PoseFit
 from risc_lab.clock import ClockGuard, Step
 
 _LATE = 128  # frames
@@ -38,13 +38,18 @@ class EstimatorCounts:
     duplicate_stamps: int = 0  # frames refused: same stamp as the one before
     backward_stamps: int = 0  # frames refused: older than the one before, far ahead of it, or not a number
     clock_resets: int = 0  # stamps of a new clock, or after ten seconds of silence: started afresh
-    markers_left_out: int = 0  # one marker did not fit and the body was estimated without it
+    markers_left_out: int = 0  # a marker did not fit and the body was estimated without it
     markers_frozen: int = 0  # one marker stood still for some frames, and was no measurement any more
     misfits: int = 0  # body refused: residual too large
     collinear: int = 0  # body refused: visible markers on one line
     tilted: int = 0  # body refused: upside down
+    jumps: int = 0  # body refused: where it cannot have come to
     outside: int = 0  # body invisible: outside the arena
+    swaps_mended: int = 0  # body estimated although labels of its markers were exchanged
+    filled_in: int = 0  # body estimated with markers that have no label
+    exchanges: int = 0  # bodies had each other's name, and were given their markers
     unknown: Counter = field(default_factory=Counter)  # frames by name that no template knows
+    exchanged: Counter = field(default_factory=Counter)  # exchanges by (body, name that its markers had)
 
 
 class StatesEstimator:
@@ -63,8 +68,12 @@ class StatesEstimator:
         """
         self._filter = velocity_filter or make_filter()
         types = vehicle_types or {}
-        self._fit = PoseFit(templates, params, lambda t: self._filter.add_body(t, types.get(t.name)))
-        self._counts = EstimatorCounts(unknown=self._fit.unknown)
+
+        def add(template):
+            self._filter.add_body(template, types.get(template.name))
+
+        self._fit = PoseFit(templates, params, add, self._filter.GATES)
+        self._counts = EstimatorCounts(unknown=self._fit.unknown, exchanged=self._fit.exchanged)
         self._stamps = ClockGuard()
         self._coasted_s = -math.inf  # up to here states were predicted without frames
         self._late = deque(maxlen=_LATE)  # frames that are late, or of a clock that was set: the next one tells
@@ -97,6 +106,11 @@ class StatesEstimator:
         return self._fit.poses
 
     @property
+    def misses_a_body(self):
+        """Whether one that was seen lately has no pose in the newest frame."""
+        return self._fit.misses_a_body
+
+    @property
     def on_board_wanted(self):
         """What the filter wants to be given with `on_board`, a set; see `filters.VelocityFilter`."""
         return frozenset(self._filter.ON_BOARD)
@@ -109,8 +123,8 @@ class StatesEstimator:
         """(vehicles, 12, 12) of the newest states; None if the filter does not know."""
         return self._filter.covariances()
 
-    def update(self, stamp_s, layout, markers_m):
-        """Estimate one frame. layout and markers_m: see `PoseFit.update`.
+    def update(self, stamp_s, layout, markers_m, loose_m=NOTHING):
+        """Estimate one frame. layout, markers_m and loose_m: see `PoseFit.update`.
 
         stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted), or is not
         later than states that `coast` has given. A frame
@@ -123,19 +137,20 @@ class StatesEstimator:
             if stamp_s == newest_s:
                 self._counts.duplicate_stamps += 1
             elif stamp_s < newest_s <= stamp_s + self._filter.late_s:
-                self._late.append((stamp_s, layout, np.array(markers_m, dtype=float)))
+                self._late.append((stamp_s, layout, np.array(markers_m, dtype=float), np.array(loose_m, dtype=float)))
             else:
                 self._counts.backward_stamps += 1
             return None
         if step is Step.NEW_CLOCK:
             self._counts.clock_resets += 1
             self._late.clear()
+            self._fit.forget()
             self._filter.reset()
             self._coasted_s = -math.inf
         while self._late:
             self._counts.late_frames += 1
             self._take(*self._late.popleft())
-        landmark_names, landmarks_m = self._take(stamp_s, layout, markers_m)
+        landmark_names, landmarks_m = self._take(stamp_s, layout, markers_m, loose_m)
         if stamp_s <= self._coasted_s:
             return None
         return self._estimate(self._filter.visible.copy(), landmark_names, landmarks_m)
@@ -148,8 +163,8 @@ class StatesEstimator:
         self._coasted_s = stamp_s
         return self._estimate(self._filter.visible.copy())._replace(stamp_s=stamp_s)
 
-    def _take(self, stamp_s, layout, markers_m):
-        landmarks = self._fit.update(stamp_s, layout, markers_m)
+    def _take(self, stamp_s, layout, markers_m, loose_m):
+        landmarks = self._fit.update(stamp_s, layout, markers_m, loose_m)
         self._counts.frames += 1
         self._filter.update(self._fit.poses)
         return landmarks
