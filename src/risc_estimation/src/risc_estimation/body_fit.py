@@ -13,7 +13,7 @@ counts. Without one nothing tells which of them is right, and the body is refuse
 import enum
 import math
 
-from risc_estimation.identity import PATH, REACH, agrees, marker_noise_m
+from risc_estimation.identity import PATH, REACH, is_possible, marker_noise_m
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose
 from risc_lab.compiled import compiled, record
 
@@ -33,7 +33,9 @@ FIT = record(
     ("work", WORK),
     ("pose", POSE),  # what a fit has found
     ("best", POSE),
-    ("ahead", PATH),  # prediction
+    ("ahead", PATH),  # predictions, see `identity.foresee`
+    ("near", PATH),
+    ("aside", PATH),
 )
 _STEADY_RAD = 0.02  # 1 sigma of an attitude: where markers are left out the others must give one that is as good
 _PART = 0.4  # of the least distance between two markers of a template: nearer to its place one is that marker
@@ -44,7 +46,7 @@ def fit_markers(template, measured, used, residuals_m, has_attitude, is_known, f
     """Fit the used markers; fills fit.pose. Returns a doubt about it.
 
     template, measured: (>= n, 3) [m]; used: (n,) bool, three at least; residuals_m: (> n,) largest rms distance of so
-    many markers.  is_known: the pose has to agree with fit.ahead.  fit: FIT.
+    many markers.  is_known: the pose has to be possible, see `identity.foresee`.  fit: FIT.
     """
     pose, limits, count = fit.pose, fit.limits, 0
     for i in range(len(used)):
@@ -58,7 +60,7 @@ def fit_markers(template, measured, used, residuals_m, has_attitude, is_known, f
         return COLLINEAR
     if has_attitude and not -pose.rotation[2, 2] >= limits.cos_tilt_max:
         return TILTED
-    if is_known and not agrees(fit.ahead, pose, count, has_attitude, fit.reach):
+    if is_known and not is_possible(fit.ahead, fit.near, fit.aside, pose, count, has_attitude, fit.reach):
         return JUMP
     return NONE
 

@@ -10,10 +10,11 @@ track leads, but for
                a filter that knows nothing of it believes it: off_m and off_m_s go through the same gains, too, since
                the filter is linear. T^2/2 times the acceleration are added, as long as rates are within their limits.
 
-A pose that is farther off contradicts. It begins a candidate; as long as later poses agree with that, and contradict
-the track, the candidate grows older, and takes the place of the track when it is as old as that was, or after
-`Reach.memory_s`. The track that was replaced is remembered: a pose that agrees with it is where the body was all the
-time. Nothing contradicts a track that is older than memory_s: nobody is locked out for longer.
+A pose that is farther off contradicts. It begins a candidate. Later poses that go on from there contradict, too, also
+when the reach has grown so far: for them it grows for `_GROW_S` only. When the candidate is as old as the track was, or
+after memory_s, it takes the place of the track. The track that was replaced is remembered: a pose that agrees with it
+is where the body was all the time. Nothing contradicts a track that is older than memory_s: nobody is locked out for
+longer.
 """
 
 import math
@@ -21,6 +22,7 @@ import math
 from risc_lab.compiled import compiled, record
 
 _MEMORY_S = 0.015  # three frames at 200 Hz: an acceleration puts the prediction off by 0.4 mm for each m/s^2
+_GROW_S = 0.05  # as in risc_control.plausibility
 _REMEMBERED = 10.0  # so many times memory_s a track that was replaced may come back
 TRACK, CANDIDATE, FORMER = range(3)  # of each body
 
@@ -68,6 +70,30 @@ def predict(path, stamp_s, reach, ahead):
     ahead.off_m_s = min(path.off_m_s + faster_m_s, reach.speed_m_s)
     ahead.off_rad = path.off_rad + span_s * min(path.off_rad_s + 0.5 * faster_rad_s, reach.turn_rad_s)
     ahead.off_rad_s = min(path.off_rad_s + faster_rad_s, reach.turn_rad_s)
+
+
+@compiled
+def foresee(paths, stamp_s, reach, ahead, near, aside):
+    """Fill where the track of a known body leads: ahead, near (the same with less reach), and aside: its candidate."""
+    track, candidate = paths[TRACK], paths[CANDIDATE]
+    predict(track, stamp_s, reach, ahead)
+    aside.lives = candidate.lives and 0.0 < stamp_s - candidate.stamp_s <= reach.memory_s
+    if aside.lives:
+        predict(candidate, stamp_s, reach, aside)
+        predict(track, min(stamp_s, candidate.begun_s + _GROW_S), reach, near)
+        near.rotation[:, :], near.position_m[:] = ahead.rotation, ahead.position_m
+
+
+@compiled
+def is_possible(ahead, near, aside, pose, count, has_attitude, reach):
+    """Whether a POSE of so many markers is one to which a known body can have come. See `foresee`."""
+    if not agrees(ahead, pose, count, has_attitude, reach):
+        return False
+    return (
+        not aside.lives
+        or not agrees(aside, pose, count, has_attitude, reach)
+        or agrees(near, pose, count, has_attitude, reach)
+    )
 
 
 @compiled

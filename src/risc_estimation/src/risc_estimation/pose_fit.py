@@ -33,7 +33,7 @@ from risc_estimation.body_fit import (
     fit_some_markers,
     is_steady,
 )
-from risc_estimation.identity import PATH, TRACK, contradict, go_on, is_known, predict
+from risc_estimation.identity import PATH, contradict, foresee, go_on, is_known
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 from risc_estimation.rigid_fit import MIN_MARKERS
 from risc_lab.compiled import compiled, record, with_row
@@ -503,7 +503,7 @@ def _locate(bodies, i, stamp_s, markers_m, loose_m, fixed, scratch):
     count, refusals.markers_frozen = count - frozen, refusals.markers_frozen + frozen
     body.known, doubt = is_known(paths, stamp_s, fit.reach), UNSEEN
     if body.known:
-        predict(paths[TRACK], stamp_s, fit.reach, fit.ahead)
+        foresee(paths, stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
     if count >= MIN_MARKERS:
         doubt = fit_markers(template, markers, used, residuals_m, body.has_attitude, body.known, fit)
         if doubt == NONE:
@@ -635,7 +635,7 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
         scratch.costs_m[i, :] = math.inf
         if body.doubt == NONE or not body.known:
             continue
-        predict(bodies.paths[i, TRACK], stamp_s, fit.reach, fit.ahead)
+        foresee(bodies.paths[i], stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
         tried, seen = scratch.tried[: body.markers], scratch.seen[: body.markers]
         for j in range(len(bodies.table)):
             if j == i or bodies.table[j].doubt == NONE and bodies.table[j].known:
