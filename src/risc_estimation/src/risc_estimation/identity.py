@@ -121,8 +121,9 @@ def agrees(ahead, pose, count, has_attitude, reach):
     for row in range(3):
         for column in range(3):
             trace += pose.rotation[row, column] * ahead.rotation[row, column]
-    turned_rad = math.acos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
-    return turned_rad <= noise_m / pose.spread_m + ahead.off_rad
+    half_sine = 0.5 * math.sqrt(max(3.0 - trace, 0.0))  # of half of the angle between them
+    most_rad = noise_m / pose.spread_m + ahead.off_rad
+    return math.pi * half_sine <= most_rad or 2.0 * math.asin(min(half_sine, 1.0)) <= most_rad  # mostly the first
 
 
 @compiled
@@ -130,8 +131,9 @@ def follow(path, ahead, pose):
     """Take a POSE into a path. ahead: what `predict` has filled for its time, which is later than that of the path."""
     step_s, path.poses = ahead.stamp_s - path.stamp_s, path.poses + 1
     n, kept = float(path.poses), math.exp(-step_s / _MEMORY_S)
-    gain = max(1.0 - kept * kept, 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)))
-    rate_gain = max((1.0 - kept) * (1.0 - kept), 6.0 / (n * (n + 1.0))) / step_s
+    line = 2.0 / (n * (n + 1.0))
+    gain = max(1.0 - kept * kept, line * (2.0 * n - 1.0))
+    rate_gain = max((1.0 - kept) * (1.0 - kept), 3.0 * line) / step_s
     path.stamp_s, missed = ahead.stamp_s, 1.0 - gain
     R, P = pose.rotation, ahead.rotation
     # the rotation from the predicted attitude to that of the pose, R P^T: its axis times its sine
@@ -142,7 +144,9 @@ def follow(path, ahead, pose):
         z += 0.5 * (R[1, k] * P[0, k] - R[0, k] * P[1, k])
         trace += R[0, k] * P[0, k] + R[1, k] * P[1, k] + R[2, k] * P[2, k]
     sine = math.sqrt(x * x + y * y + z * z)
-    scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 1e-12 else 1.0
+    scale = 1.0 + sine * sine / 6.0
+    if sine > 1e-3 or trace < 1.0:
+        scale = math.atan2(sine, 0.5 * (trace - 1.0)) / max(sine, 1e-12)
     turn = scale * x, scale * y, scale * z
     _turn(-missed * turn[0], -missed * turn[1], -missed * turn[2], R, path.rotation)
     for axis in range(3):

@@ -440,7 +440,19 @@ def _fit_frame(
             if body.place != i:
                 _take_back(bodies, i, stamp_s, fixed[0].fit.reach)
         if body.moved or not again:
-            body.doubt = _locate(bodies, i, stamp_s, markers_m, loose_m, fixed[0], scratch)
+            markers, mine, path, place = (
+                _named(table[body.place], markers_m),
+                used[i, : body.markers],
+                paths[i],
+                measured[:, i],
+            )
+            body.doubt = _locate(
+                body, templates_m[i], markers, newest[i], mine, place, path, residuals_m, stamp_s, fixed[0]
+            )
+            if body.doubt != NONE:
+                body.doubt = _recover(
+                    body, templates_m[i], markers, loose_m, mine, place, path, scratch, stamp_s, fixed[0]
+                )
         doubtful = doubtful or body.doubt != NONE and body.known
     if doubtful and not again and _compare(bodies, stamp_s, markers_m, fixed[0], scratch):
         return -1
@@ -492,63 +504,78 @@ def _leave_frozen(newest, markers, gates, used):
     return count
 
 
+# Arrays have counts of references: to pass all of them on for each body would take as long as its fit.
 @compiled
-def _locate(bodies, i, stamp_s, markers_m, loose_m, fixed, scratch):
-    """Pose of a body from the markers of this frame; returns a doubt about it."""
-    refusals, fit, residuals_m = fixed.refusals, fixed.fit, scratch.residuals_m
-    body, template, paths = bodies.table[i], bodies.templates_m[i], bodies.paths[i]
-    markers, used = _markers_at(bodies, body.place, markers_m), bodies.used[i, : body.markers]
+def _locate(body, template, markers, newest, used, measured, paths, residuals_m, stamp_s, fixed):
+    """Pose of a body from all of its markers (k, 3); returns a doubt about it. Fills used, and without one the rest.
+
+    body: BODY. After it: its rows of `_Bodies`; of measured those of all quantities.
+    """
+    fit = fixed.fit
     count = see_markers(markers, fixed.gates, used)
-    frozen = _leave_frozen(bodies.newest[i], markers, fixed.gates, used)
-    count, refusals.markers_frozen = count - frozen, refusals.markers_frozen + frozen
-    body.known, doubt = is_known(paths, stamp_s, fit.reach), UNSEEN
+    frozen = _leave_frozen(newest, markers, fixed.gates, used)
+    count, fixed.refusals.markers_frozen = count - frozen, fixed.refusals.markers_frozen + frozen
+    body.known = is_known(paths, stamp_s, fit.reach)
     if body.known:
         foresee(paths, stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
-    if count >= MIN_MARKERS:
-        doubt = fit_markers(template, markers, used, residuals_m, body.has_attitude, body.known, fit)
-        if doubt == NONE:
-            _believe(bodies, i, stamp_s, count, fit)
-            return NONE
+    if count < MIN_MARKERS:
+        return UNSEEN
+    doubt = fit_markers(template, markers, used, residuals_m, body.has_attitude, body.known, fit)
+    if doubt == NONE:
+        _believe(body, paths, measured, stamp_s, count, fit)
+    return doubt
+
+
+@compiled
+def _recover(body, template, markers, loose_m, used, measured, paths, scratch, stamp_s, fixed):
+    """The same of a body where `_locate` had a doubt, from other markers or from some of them."""
+    refusals, fit, residuals_m, count = fixed.refusals, fixed.fit, scratch.residuals_m, _count(used)
     if body.known:
-        seen = scratch.seen[: body.markers]
+        seen, found, found_m = scratch.seen[: body.markers], scratch.found, scratch.found_m
         seen[:] = used
-        if _find(bodies, i, markers, loose_m, fixed, scratch) == NONE:
-            own, swapped, filled = _own_of(scratch.found, used, min(len(markers), len(seen)))
+        some = find_markers(
+            template, body.apart_m, markers, seen, loose_m, fixed.gates.marker_m, fit, found_m, used, found
+        )
+        if (
+            some >= MIN_MARKERS
+            and fit_some_markers(template, found_m, used, residuals_m, body.has_attitude, True, fit) == NONE
+        ):
+            own, swapped, filled = _own_of(found, used, min(len(markers), len(seen)))
             if own == count or is_steady(fit.pose, body.has_attitude, fit.reach):
                 refusals.markers_left_out += count - own
                 refusals.swaps_mended += swapped
                 refusals.filled_in += filled
-                _believe(bodies, i, stamp_s, _count(used), fit)
+                _believe(body, paths, measured, stamp_s, _count(used), fit)
                 return NONE
         used[:] = seen
         if count > MIN_MARKERS:
             if fit_some_markers(template, markers, used, residuals_m, body.has_attitude, True, fit) == NONE:
                 refusals.markers_left_out += count - _count(used)
-                _believe(bodies, i, stamp_s, _count(used), fit)
+                _believe(body, paths, measured, stamp_s, _count(used), fit)
                 return NONE
             used[:] = seen
-    if count >= MIN_MARKERS:
-        doubt = fit_some_markers(template, markers, used, residuals_m, body.has_attitude, False, fit)
+    if count < MIN_MARKERS:
+        return UNSEEN
+    doubt = fit_some_markers(template, markers, used, residuals_m, body.has_attitude, False, fit)
     if doubt != NONE:
         return doubt
-    left, left_out = _count(used), count - _count(used)
+    left = _count(used)
     if not body.known:
-        _believe(bodies, i, stamp_s, left, fit)
+        _believe(body, paths, measured, stamp_s, left, fit)
     elif contradict(paths, stamp_s, fit.pose, left, body.has_attitude, fit.reach, fit.ahead):
-        _keep(bodies, i, stamp_s, fit.pose)
+        _keep(body, measured, stamp_s, fit.pose)
     else:
         doubt = JUMP
         if fixed.gates.shows_jumps:
-            _keep(bodies, i, stamp_s, fit.pose)
-    refusals.markers_left_out += left_out
+            _keep(body, measured, stamp_s, fit.pose)
+    refusals.markers_left_out += count - left
     return doubt
 
 
 @compiled
-def _markers_at(bodies, place, markers_m):
-    """The markers that have the name of a body."""
-    named = bodies.table[place]
-    return markers_m[named.first : named.first + named.count]
+def _named(body, markers_m):
+    """The markers of a frame that have the name of a body (BODY)."""
+    return markers_m[body.first : body.first + body.count]
 
 
 @compiled
@@ -558,19 +585,6 @@ def _count(used):
         if used[k]:
             count += 1
     return count
-
-
-@compiled
-def _find(bodies, i, markers, loose_m, fixed, scratch):
-    """Pose of a known body, whose labels are not believed; fills used. Of markers those count that scratch.seen has."""
-    body, template, used = bodies.table[i], bodies.templates_m[i], bodies.used[i, : bodies.table[i].markers]
-    count = find_markers(
-        template, body.apart_m, markers, scratch.seen[: body.markers], loose_m, fixed.gates.marker_m, fixed.fit,
-        scratch.found_m, used, scratch.found,
-    )  # fmt: skip
-    if count < MIN_MARKERS:
-        return UNSEEN
-    return fit_some_markers(template, scratch.found_m, used, scratch.residuals_m, body.has_attitude, True, fixed.fit)
 
 
 @compiled
@@ -591,25 +605,23 @@ def _own_of(found, used, labelled):
 
 
 @compiled
-def _believe(bodies, i, stamp_s, count, fit):
+def _believe(body, paths, measured, stamp_s, count, fit):
     """Keep a pose, of so many markers, that does not contradict."""
-    go_on(bodies.paths[i], stamp_s, fit.pose, count, bodies.table[i].has_attitude, fit.reach, fit.ahead)
-    _keep(bodies, i, stamp_s, fit.pose)
+    go_on(paths, stamp_s, fit.pose, count, body.has_attitude, fit.reach, fit.ahead)
+    _keep(body, measured, stamp_s, fit.pose)
 
 
 @compiled
-def _keep(bodies, i, stamp_s, pose):
-    """Fill the rows of a body with a POSE."""
-    body = bodies.table[i]
+def _keep(body, measured, stamp_s, pose):
+    """Fill the rows of a body, in table and measured (2, 3), with a POSE."""
     body.stamp_s, body.residual_m = stamp_s, pose.residual_m
     body.rotation[:, :] = pose.rotation
-    bodies.measured[0, i] = pose.position_m
+    measured[0] = pose.position_m
     if body.has_attitude:
         phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
-        angles_rad = bodies.measured[1, i]
         for axis in range(3):  # whole turns are added to be nearest to the last
-            turned = (phi, theta, psi)[axis] - angles_rad[axis]
-            angles_rad[axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
+            turned = (phi, theta, psi)[axis] - measured[1, axis]
+            measured[1, axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
 
 
 @compiled
@@ -640,7 +652,7 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
         for j in range(len(bodies.table)):
             if j == i or bodies.table[j].doubt == NONE and bodies.table[j].known:
                 continue
-            markers = _markers_at(bodies, bodies.table[j].place, markers_m)
+            markers = _named(bodies.table[bodies.table[j].place], markers_m)
             if see_markers(markers, fixed.gates, seen) < MIN_MARKERS:
                 continue
             tried[:] = seen
