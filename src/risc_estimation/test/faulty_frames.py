@@ -182,7 +182,7 @@ def fly(fault, name, filter_name, seed, events=8, longest_s=0.2, **params):
 FAULTS = displaced, ghost, swap, swap_of_those_in_view, flip, jump, exchange, lost_labels, not_a_number
 
 
-def main(seeds=20):
+def main(seeds=6):
     """Print the share of false frames with a state that is visible and wrong, without the gates and with them."""
     print(("%-24s%-11s" + "%18s" * 4) % ("fault", "vehicle", *[f + a for f in ("lines", "ekf") for a in (" off", "")]))
     for fault in FAULTS:

@@ -32,7 +32,7 @@ from risc_estimation.pose_fit import PoseFit, PoseFitParams
 from risc_estimation.rigid_fit import POSE
 from risc_estimation.state_estimator import StatesEstimator
 
-SEEDS = 6
+SEEDS = 4
 FILTERS = "least_squares", "ekf"
 VEHICLES = "fluffy_II", "IRIS"
 
@@ -52,7 +52,7 @@ def together(*arguments, **options):
 def test_what_is_false_is_not_shown(fault, vehicle, filter_name):
     """At most 0.5 % of the false frames visible and wrong, none after; half of the events are settled 50 ms later."""
     false, wrong, after, _, settled_s, _ = together(fault, vehicle, filter_name)
-    assert false > 300 and wrong <= 0.005 * false and after == 0
+    assert false > 250 and wrong <= 0.005 * false and after == 0
     assert np.median(settled_s) <= 0.05
 
 
@@ -324,7 +324,7 @@ def run_track(xs_m, its):
     for k, x_m in enumerate(xs_m[1:], start=1):
         predict(path, k * DT_S, its, ahead)
         off_m.append(x_m - ahead["position_m"][0])
-        follow(path, ahead, pose_at(x_m))
+        follow(path, ahead, pose_at(x_m), its)
     return np.array(off_m), ahead
 
 
@@ -347,7 +347,7 @@ def test_reach_is_where_the_greatest_acceleration_takes_a_body():
         predict(path, k * DT_S, its, ahead)
         pose = pose_at(4.0 * k * DT_S + 0.5 * its["acceleration_m_s2"] * (k * DT_S) ** 2)
         assert agrees(ahead, pose, 4, True, its), k
-        follow(path, ahead, pose)
+        follow(path, ahead, pose, its)
     predict(path, 100 * DT_S, its, ahead)
     beyond = pose_at(ahead["position_m"][0] + ahead["off_m"] + 0.02)
     assert not agrees(ahead, beyond, 4, True, its)

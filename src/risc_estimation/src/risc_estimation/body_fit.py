@@ -13,7 +13,7 @@ counts. Without one nothing tells which of them is right, and the body is refuse
 import enum
 import math
 
-from risc_estimation.identity import PATH, REACH, is_possible, marker_noise_m
+from risc_estimation.identity import PATH, REACH, STEADY_RAD, is_possible, marker_noise_m
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose
 from risc_lab.compiled import compiled, record
 
@@ -37,7 +37,6 @@ FIT = record(
     ("near", PATH),
     ("aside", PATH),
 )
-_STEADY_RAD = 0.02  # 1 sigma of an attitude: where markers are left out the others must give one that is as good
 _PART = 0.4  # of the least distance between two markers of a template: nearer to its place one is that marker
 
 
@@ -107,11 +106,11 @@ def _without(template, measured, used, one, two, residuals_m, has_attitude, is_k
 
 @compiled
 def is_steady(pose, has_attitude, reach):
-    """Whether the markers of a fit are far enough from one line.
+    """Whether the markers of a fit are far enough from one line to give an attitude without those that are left out.
 
     A vehicle that is turned by 180 degrees has some markers where others were: they fit without the rest.
     """
-    return not has_attitude or reach.noise_m <= _STEADY_RAD * pose.spread_m
+    return not has_attitude or reach.noise_m <= STEADY_RAD * pose.spread_m
 
 
 @compiled

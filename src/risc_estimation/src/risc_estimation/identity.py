@@ -22,6 +22,7 @@ import math
 from risc_lab.compiled import compiled, record
 
 _MEMORY_S = 0.015  # three frames at 200 Hz: an acceleration puts the prediction off by 0.4 mm for each m/s^2
+STEADY_RAD = 0.02  # 1 sigma of an attitude: one that is worse says less of where the body has to be
 _GROW_S = 0.05  # as in risc_control.plausibility
 _REMEMBERED = 10.0  # so many times memory_s a track that was replaced may come back
 TRACK, CANDIDATE, FORMER = range(3)  # of each body
@@ -127,7 +128,7 @@ def agrees(ahead, pose, count, has_attitude, reach):
 
 
 @compiled
-def follow(path, ahead, pose):
+def follow(path, ahead, pose, reach):
     """Take a POSE into a path. ahead: what `predict` has filled for its time, which is later than that of the path."""
     step_s, path.poses = ahead.stamp_s - path.stamp_s, path.poses + 1
     n, kept = float(path.poses), math.exp(-step_s / _MEMORY_S)
@@ -135,6 +136,9 @@ def follow(path, ahead, pose):
     gain = max(1.0 - kept * kept, line * (2.0 * n - 1.0))
     rate_gain = max((1.0 - kept) * (1.0 - kept), 3.0 * line) / step_s
     path.stamp_s, missed = ahead.stamp_s, 1.0 - gain
+    steady = STEADY_RAD * pose.spread_m / reach.noise_m
+    weight = min(steady * steady, 1.0) if path.poses > 2 else 1.0
+    missed_turn, turn_rate_gain = 1.0 - weight * gain, weight * rate_gain
     R, P = pose.rotation, ahead.rotation
     # the rotation from the predicted attitude to that of the pose, R P^T: its axis times its sine
     x = y = z = trace = 0.0
@@ -148,19 +152,19 @@ def follow(path, ahead, pose):
     if sine > 1e-3 or trace < 1.0:
         scale = math.atan2(sine, 0.5 * (trace - 1.0)) / max(sine, 1e-12)
     turn = scale * x, scale * y, scale * z
-    _turn(-missed * turn[0], -missed * turn[1], -missed * turn[2], R, path.rotation)
+    _turn(-missed_turn * turn[0], -missed_turn * turn[1], -missed_turn * turn[2], R, path.rotation)
     for axis in range(3):
         off_m = pose.position_m[axis] - ahead.position_m[axis]
         path.position_m[axis] = ahead.position_m[axis] + gain * off_m
         path.velocity_m_s[axis] += rate_gain * off_m
-        path.rate_rad_s[axis] += rate_gain * turn[axis]
+        path.rate_rad_s[axis] += turn_rate_gain * turn[axis]
     variance, covariance = ahead.variance, ahead.covariance
     path.variance = missed * missed * variance + gain * gain
     path.covariance = missed * (covariance - rate_gain * variance) + gain * rate_gain
     path.rate_variance += rate_gain * (rate_gain * (variance + 1.0) - 2.0 * covariance)
-    path.off_m, path.off_rad = missed * ahead.off_m, missed * ahead.off_rad
+    path.off_m, path.off_rad = missed * ahead.off_m, missed_turn * ahead.off_rad
     path.off_m_s = max(ahead.off_m_s - rate_gain * ahead.off_m, 0.0)
-    path.off_rad_s = max(ahead.off_rad_s - rate_gain * ahead.off_rad, 0.0)
+    path.off_rad_s = max(ahead.off_rad_s - turn_rate_gain * ahead.off_rad, 0.0)
 
 
 @compiled
@@ -177,13 +181,13 @@ def go_on(paths, stamp_s, pose, count, has_attitude, reach, ahead):
     """
     if is_known(paths, stamp_s, reach):
         if stamp_s > paths[TRACK].stamp_s:  # else it is late
-            follow(paths[TRACK], ahead, pose)
+            follow(paths[TRACK], ahead, pose, reach)
             paths[CANDIDATE].lives = False
         return
     if paths[CANDIDATE].lives and 0.0 < stamp_s - paths[CANDIDATE].stamp_s <= reach.memory_s:
         predict(paths[CANDIDATE], stamp_s, reach, ahead)
         if agrees(ahead, pose, count, has_attitude, reach):
-            follow(paths[CANDIDATE], ahead, pose)
+            follow(paths[CANDIDATE], ahead, pose, reach)
             _replace(paths, reach)
             return
     begin(paths[CANDIDATE], stamp_s, pose, reach)
@@ -208,7 +212,7 @@ def contradict(paths, stamp_s, pose, count, has_attitude, reach, ahead):
     if candidate.lives and stamp_s > candidate.stamp_s:
         predict(candidate, stamp_s, reach, ahead)
         if agrees(ahead, pose, count, has_attitude, reach):
-            follow(candidate, ahead, pose)
+            follow(candidate, ahead, pose, reach)
             if stamp_s - candidate.begun_s < paths[TRACK].stamp_s - paths[TRACK].begun_s:
                 return False  # memory_s is the limit, too: then the body is not known any more
             _replace(paths, reach)
