@@ -234,6 +234,29 @@ class StatesEstimationNodeTest(unittest.TestCase):
         for k, entry in enumerate(seen, start=60):
             self.assertTrue(not entry.visible or abs(entry.x + 1 - 0.4 * k * FRAME_S) < 1e-3)
 
+    def test_exchanged_names_are_told_apart_and_counted(self):
+        self.send_run(60)
+        before = {counter.name: counter.count for counter in self.wait_for(1, self.statuses)[-1].counters}
+        for k in range(60, 80):
+            bodies = self.frame(k)
+            bodies["fluffy_II"], bodies["Raven"] = bodies["Raven"], bodies["fluffy_II"]
+            self.send(self.sent_to_s, bodies)
+            type(self).sent_to_s += FRAME_S
+            time.sleep(FRAME_S)
+        for k, msg in enumerate(self.wait_for(80, self.states)[60:80], start=60):
+            last = {entry.name: entry for entry in msg.Obj}
+            self.assertTrue(last["fluffy_II"].visible and last["Raven"].visible)
+            self.assertAlmostEqual(last["fluffy_II"].x, -1 + 0.4 * k * FRAME_S, delta=1e-3)
+        with self.arrived:
+            told = self.arrived.wait_for(lambda: self.exchanges() > before["exchanges"], PATIENCE_S)
+        self.assertTrue(told, "the exchange is not counted")
+
+    def exchanges(self):
+        """As the newest status says."""
+        return max(
+            (c.count for status in self.statuses[-1:] for c in status.counters if c.name == "exchanges"), default=0
+        )
+
     def test_silence_is_announced_once_with_the_old_stamp(self):
         stamps = self.send_run(60)
         self.wait_for(61, self.states)

@@ -236,6 +236,15 @@ def test_after_false_places_the_truth_is_believed_at_once(false_s):
         assert (shown > 0) == (false_s > 0.3), "what stays for longer than the memory is believed"
 
 
+def test_after_an_outage_places_are_judged_as_before():
+    """Out of sight for 0.5 s, in view for 0.1 s, then false: the track before the outage is no excuse."""
+    truth, estimator, rng = truth_of(3), PoseFit(TEMPLATES), np.random.default_rng(3)
+    lie = functools.partial(jump, name="Raven", place_m=None, rng=rng, kept=[])
+    for k in [*range(100), *range(200, 235)]:
+        seen(estimator, truth, k, rng, *[lie] * (k >= 220))
+        assert estimator.poses.present[NAMES.index("Raven")] == (k < 220), k
+
+
 def test_a_false_beginning_is_corrected_at_once():
     """The first frame ever is false, those after it are not: two of them outweigh it."""
     truth, estimator, rng = truth_of(7), PoseFit(TEMPLATES), np.random.default_rng(7)

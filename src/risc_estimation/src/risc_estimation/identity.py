@@ -190,8 +190,8 @@ def go_on(paths, stamp_s, pose, count, has_attitude, reach, ahead):
             follow(paths[CANDIDATE], ahead, pose, reach)
             _replace(paths, reach)
             return
-    begin(paths[CANDIDATE], stamp_s, pose, reach)
-    _replace(paths, reach)
+    begin(paths[TRACK], stamp_s, pose, reach)
+    paths[CANDIDATE].lives = paths[FORMER].lives = False  # it was out of sight: they mean nothing any more
 
 
 @compiled
