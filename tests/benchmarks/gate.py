@@ -56,7 +56,10 @@ OUTAGE_S = 0.02, 5.0
 LOCKED_OUT_S = 1.0
 BLOCKS = {"position": S.X, "velocity": S.U, "angles": S.PHI, "rates": S.P}  # of three states each
 # PoseFitParams with which nothing that can be fitted is refused
-NO_GATES = {"residual_max_m": 1e3, "frozen_frames": 0, "tilt_max_rad": 4.0, "min_spread_m": 1e-9}
+NO_GATES = {
+    "residual_max_m": 1e3, "frozen_frames": 0, "tilt_max_rad": 4.0, "min_spread_m": 1e-9, "memory_s": 0.0,
+    "false_reject_probability": 0.0,
+}  # fmt: skip
 _CLEAN, _FALSE, _OUTAGES = range(3)  # what replays of a seed are for
 
 

@@ -2,6 +2,7 @@
 
 #include <risc_maap_msgs/MocapStatus.h>
 #include <risc_maap_msgs/MocapTime.h>
+#include <risc_maap_msgs/UnidentifiedMarkers.h>
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
@@ -49,6 +50,15 @@ void fill_markers(const MocapFrame& frame, bool missing_as_nan, risc_msgs::Mocap
   }
 }
 
+std::vector<double> in_a_row(const std::vector<Position>& markers) {
+  std::vector<double> row;
+  row.reserve(3 * markers.size());
+  for (const Position& marker : markers) {
+    row.insert(row.end(), {marker.x, marker.y, marker.z});
+  }
+  return row;
+}
+
 ros::Time to_ros_time(Time wall) {
   ros::Time stamp;
   stamp.fromNSec(static_cast<std::uint64_t>(std::max(wall, Time{0}).count()));
@@ -57,6 +67,7 @@ ros::Time to_ros_time(Time wall) {
 
 MocapPublisher::MocapPublisher(ros::NodeHandle& node, Parameters& parameters)
     : markers_(node.advertise<risc_msgs::Mocap_data>("mocap_data", kQueueSize)),
+      unidentified_(node.advertise<risc_maap_msgs::UnidentifiedMarkers>("mocap_unidentified", kQueueSize)),
       time_(node.advertise<risc_maap_msgs::MocapTime>("mocap_time", kQueueSize)),
       status_(node.advertise<risc_maap_msgs::MocapStatus>("mocap_status", kQueueSize)) {
   double diagnostic_period_s = 1.0;  // belongs to diagnostic_updater, which reads it itself
@@ -110,6 +121,12 @@ void MocapPublisher::on_frame(const MocapFrame& frame) {
   markers->header.stamp = to_ros_time(exposure);
   markers->header.frame_id = frame_id_;
   fill_markers(frame, missing_as_nan_, *markers);
+  if (!frame.unidentified.empty()) {
+    const auto unidentified = boost::make_shared<risc_maap_msgs::UnidentifiedMarkers>();
+    unidentified->header = markers->header;
+    unidentified->positions = in_a_row(frame.unidentified);
+    unidentified_.publish(unidentified);
+  }
   markers_.publish(markers);
 
   const auto time = boost::make_shared<risc_maap_msgs::MocapTime>();

@@ -1,4 +1,5 @@
-// Node MocapStates (executable stream_markers): motion capture -> mocap_data and mocap_time. Wiring only.
+// Node MocapStates (executable stream_markers): motion capture -> mocap_data, mocap_time and
+// mocap_unidentified. Wiring only.
 
 #include <ros/ros.h>
 

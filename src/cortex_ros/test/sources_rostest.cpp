@@ -4,6 +4,7 @@
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <risc_maap_msgs/MocapTime.h>
+#include <risc_maap_msgs/UnidentifiedMarkers.h>
 
 #include <chrono>
 #include <cmath>
@@ -85,6 +86,7 @@ class Sources : public testing::Test {
   ros::AsyncSpinner spinner_{1};
   Inbox<risc_msgs::Mocap_data> markers_{node_, "mocap_data"};
   Inbox<risc_maap_msgs::MocapTime> times_{node_, "mocap_time"};
+  Inbox<risc_maap_msgs::UnidentifiedMarkers> unidentified_{node_, "mocap_unidentified"};
   Inbox<diagnostic_msgs::DiagnosticArray> diagnostics_{node_, "/diagnostics"};
 };
 
@@ -108,6 +110,16 @@ TEST_F(Sources, AToyIsOneFileAndOneYaml) {
   for (std::size_t i = 1; i < frames.size(); ++i) {
     EXPECT_GT(frames[i].header.stamp, frames[i - 1].header.stamp);
   }
+
+  const auto loose = unidentified_.wait_for(50);
+  ASSERT_GE(loose.size(), 50u);
+  std::set<ros::Time> stamps;
+  for (const auto& frame : markers_.messages()) {
+    stamps.insert(frame.header.stamp);
+  }
+  EXPECT_EQ(loose[20].positions, (std::vector<double>{0.0, 0.0, 1.0}));
+  EXPECT_EQ(loose[20].header.frame_id, "cortex");
+  EXPECT_EQ(stamps.count(loose[20].header.stamp), 1u);
 
   std::set<std::int32_t> numbers;
   for (const auto& time : times_.wait_for(50)) {

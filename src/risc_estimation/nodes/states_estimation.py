@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
-"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks), cortex_raw_status (BodyStatuses).
+"""mocap_data (Mocap_data), mocap_unidentified (UnidentifiedMarkers) -> cortex_raw (Cortex), states3 (Landmarks),
+cortex_raw_status (BodyStatuses).
 
 While somebody listens: mocap_poses (BodyPoses), state_covariances (StateCovariances, of a filter that has them). If the
 filter wants it: what vehicles measure on board and what they were sent. See risc_estimation.state_estimator.
 """
 
 import rospy
+from rospy.numpy_msg import numpy_msg
 
 from risc_estimation.filters import DEFAULT, REGISTRY
-from risc_estimation.pose_fit import PoseFitParams
+from risc_estimation.pose_fit import NOTHING, PoseFitParams
 from risc_estimation.ros.conversions import BodyPosesArrays, covariances_to_msg, poses_to_msg
 from risc_estimation.ros.estimator_node import EstimatorNode, filter_kind, refusals
 from risc_estimation.ros.params import NodeParams
@@ -19,7 +21,9 @@ from risc_lab.ros.fleet_messages import LandmarksArrays, MocapArrays
 from risc_lab.ros.node import run
 from risc_lab.ros.params import known_arena, known_fleet, load_params
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import Counter, EstimatorStatus, MarkerCount, StateCovariances
+from risc_maap_msgs.msg import Counter, EstimatorStatus, MarkerCount, StateCovariances, UnidentifiedMarkers
+
+_MATE_S = 0.001  # a frame waits so long for its markers without a label, which come on a connection of their own
 
 
 class StatesEstimationNode(EstimatorNode):
@@ -41,7 +45,25 @@ class StatesEstimationNode(EstimatorNode):
         self._covariances_pub = rospy.Publisher("state_covariances", StateCovariances, queue_size=100, tcp_nodelay=True)
         self._report_pub = rospy.Publisher("estimator_status", EstimatorStatus, queue_size=10, tcp_nodelay=True)
         self._frame = MocapArrays()
+        self._loose_ns, self._loose_m = -1, NOTHING  # the newest markers without a label: stamp, (u, 3) [m]
+        self._told_exchanged = set()
+        kind = numpy_msg(UnidentifiedMarkers)
+        rospy.Subscriber("mocap_unidentified", kind, self._on_unidentified, queue_size=100, tcp_nodelay=True)
         self.listen("mocap_data", MocapArrays.Raw)
+
+    @until_shutdown
+    def _on_unidentified(self, message):
+        with self.lock:
+            self._loose_ns, self._loose_m = message.header.stamp.to_nsec(), message.positions.reshape(-1, 3)
+            self.lock.notify_all()
+
+    def _loose_of(self, stamp):
+        """(u, 3) markers without a label of the frame with this stamp [m], as far as they have come."""
+        stamp_ns = stamp.to_nsec()
+        newest = stamp_ns - self._loose_ns < 2e9 * self.period_s  # the frame before had some
+        if newest and self.estimator.misses_a_body:
+            self.lock.wait_for(lambda: self._loose_ns >= stamp_ns, _MATE_S)
+        return self._loose_m if self._loose_ns == stamp_ns else NOTHING
 
     @until_shutdown
     def _on_frame(self, message):
@@ -49,7 +71,8 @@ class StatesEstimationNode(EstimatorNode):
             frame = self._frame.deserialize(message.buff)
             header = frame.header
             self.count(header)
-            estimate = self.estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m)
+            loose_m = self._loose_of(header.stamp)
+            estimate = self.estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m, loose_m)
             if not self.estimated(header, estimate):
                 return
             self._landmarks_pub.publish(self._messages.landmarks(header, estimate))
@@ -78,6 +101,11 @@ class StatesEstimationNode(EstimatorNode):
         )
         told.header.stamp = rospy.Time.now()
         self._report_pub.publish(told)
+        for pair in set(report.counts.exchanged) - self._told_exchanged:
+            self._told_exchanged.add(pair)
+            rospy.logwarn(
+                "motion capture says '%s' to what is '%s': both are told apart. Correct the names there", *pair[::-1]
+            )
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros.testing import publishers_heard
-from risc_maap_msgs.msg import BodyPoses, EstimatorStatus
+from risc_maap_msgs.msg import BodyPoses, EstimatorStatus, UnidentifiedMarkers
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
 PACKAGE = "risc_estimation"
@@ -43,10 +43,12 @@ class StatesEstimationNodeTest(unittest.TestCase):
             rospy.Subscriber("/estimator_status", EstimatorStatus, cls.keep, cls.statuses),
         ]
         cls.pub = rospy.Publisher("/mocap_data", Mocap_data, queue_size=1000, tcp_nodelay=True)
+        cls.loose_pub = rospy.Publisher("/mocap_unidentified", UnidentifiedMarkers, queue_size=1000, tcp_nodelay=True)
         cls.sent_to_s = 100.0 + math.floor(rospy.get_time())
         cls.newest = None  # stamp
         deadline_s = time.monotonic() + PATIENCE_S
-        while not (cls.pub.get_num_connections() and all(map(publishers_heard, cls.subscribers))):
+        pubs = cls.pub, cls.loose_pub
+        while not (all(pub.get_num_connections() for pub in pubs) and all(map(publishers_heard, cls.subscribers))):
             if time.monotonic() > deadline_s:
                 raise AssertionError("the node did not connect within %g s" % PATIENCE_S)
             time.sleep(0.02)
@@ -214,6 +216,46 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertEqual(status.unknown_bodies, ["stranger"])
         self.assertTrue(status.markers)
         self.assertTrue(all(3 <= counted.used <= counted.known for counted in status.markers), status.markers)
+
+    def test_markers_without_a_label_are_used(self):
+        """All labels of a vehicle are gone; it is seen all the same, but for frames that their markers came after."""
+        self.send_run(60)
+        for k in range(60, 80):
+            bodies, stamp = self.frame(k), rospy.Time.from_sec(self.sent_to_s)
+            loose = UnidentifiedMarkers(Header(stamp=stamp, frame_id="cortex"), bodies["fluffy_II"].ravel().tolist())
+            bodies["fluffy_II"] = np.full((4, 3), np.nan)
+            self.loose_pub.publish(loose)
+            time.sleep(0.5 * FRAME_S)
+            self.send(self.sent_to_s, bodies)
+            type(self).sent_to_s += FRAME_S
+            time.sleep(0.5 * FRAME_S)
+        seen = [msg.Obj[0] for msg in self.wait_for(80, self.states)[60:80]]
+        self.assertGreater(sum(entry.visible for entry in seen), 15)
+        for k, entry in enumerate(seen, start=60):
+            self.assertTrue(not entry.visible or abs(entry.x + 1 - 0.4 * k * FRAME_S) < 1e-3)
+
+    def test_exchanged_names_are_told_apart_and_counted(self):
+        self.send_run(60)
+        before = {counter.name: counter.count for counter in self.wait_for(1, self.statuses)[-1].counters}
+        for k in range(60, 80):
+            bodies = self.frame(k)
+            bodies["fluffy_II"], bodies["Raven"] = bodies["Raven"], bodies["fluffy_II"]
+            self.send(self.sent_to_s, bodies)
+            type(self).sent_to_s += FRAME_S
+            time.sleep(FRAME_S)
+        for k, msg in enumerate(self.wait_for(80, self.states)[60:80], start=60):
+            last = {entry.name: entry for entry in msg.Obj}
+            self.assertTrue(last["fluffy_II"].visible and last["Raven"].visible)
+            self.assertAlmostEqual(last["fluffy_II"].x, -1 + 0.4 * k * FRAME_S, delta=1e-3)
+        with self.arrived:
+            told = self.arrived.wait_for(lambda: self.exchanges() > before["exchanges"], PATIENCE_S)
+        self.assertTrue(told, "the exchange is not counted")
+
+    def exchanges(self):
+        """As the newest status says."""
+        return max(
+            (c.count for status in self.statuses[-1:] for c in status.counters if c.name == "exchanges"), default=0
+        )
 
     def test_silence_is_announced_once_with_the_old_stamp(self):
         stamps = self.send_run(60)

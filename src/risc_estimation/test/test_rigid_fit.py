@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from risc_estimation.rigid_fit import POSE, WORK, fit_pose, fit_pose_without_worst
+from risc_estimation.body_fit import NONE, fit_some_markers
+from risc_estimation.pose_fit import PoseFitParams
+from risc_estimation.rigid_fit import POSE, WORK, fit_pose
 
 SQUARE = np.array([[0.2, 0.2, 0.0], [0.2, -0.2, 0.0], [-0.2, 0.2, 0.0]])
 HULL = np.vstack([SQUARE, [-0.12, -0.2, -0.08]])
@@ -104,8 +106,9 @@ def test_ghost_marker_is_found_and_left_out(wrong):
     measured = HULL + [0.5, 0.5, 1.0]
     measured[wrong] += [0.0, 0.1, 0.15]
     assert fit_rigid(HULL, measured).residual_m > 0.015
-    visible, poses = np.ones(4, dtype=bool), np.zeros(1, dtype=POSE)
-    assert fit_pose_without_worst(HULL, measured, visible, np.zeros(1, dtype=WORK)[0], poses[0]) == wrong
+    visible, params = np.ones(4, dtype=bool), PoseFitParams()
+    fit = params.fixed()["fit"][0]
+    assert fit_some_markers(HULL, measured, visible, params.residuals_m(4), False, False, fit) == NONE
     assert visible.tolist() == [marker != wrong for marker in range(4)]
-    assert poses[0].residual_m == pytest.approx(0.0, abs=1e-9)
-    assert poses[0].position_m == pytest.approx([0.5, 0.5, 1.0], abs=1e-9)
+    assert fit.pose.residual_m == pytest.approx(0.0, abs=1e-9)
+    assert fit.pose.position_m == pytest.approx([0.5, 0.5, 1.0], abs=1e-9)

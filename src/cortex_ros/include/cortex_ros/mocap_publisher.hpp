@@ -10,6 +10,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "cortex_ros/clock_filter.hpp"
 #include "cortex_ros/frame_sequence.hpp"
@@ -27,11 +28,14 @@ constexpr double kLegacyMissingM = 9999.999;
 // legacy value. Leaves the header alone.
 void fill_markers(const MocapFrame& frame, bool missing_as_nan, risc_msgs::Mocap_data& out);
 
+// x, y, z of each marker after the other.
+std::vector<double> in_a_row(const std::vector<Position>& markers);
+
 // Wall time as a ROS stamp; a time before 1970, which a large delay can make of a small clock, becomes zero.
 ros::Time to_ros_time(Time wall);
 
-// Frames of the source that the parameter `source` names -> mocap_data and mocap_time; once a second
-// mocap_status.
+// Frames of the source that the parameter `source` names -> mocap_data, mocap_time and, of those with markers
+// of no body, mocap_unidentified; once a second mocap_status.
 class MocapPublisher : private SourceEvents {
  public:
   // Throws std::invalid_argument for a bad parameter.
@@ -71,6 +75,7 @@ class MocapPublisher : private SourceEvents {
 
   const Clock clock_;
   ros::Publisher markers_;
+  ros::Publisher unidentified_;
   ros::Publisher time_;
   ros::Publisher status_;
 

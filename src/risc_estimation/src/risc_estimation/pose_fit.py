@@ -1,7 +1,12 @@
 """From markers to poses: every known body of a frame is fitted, and what is not believed is refused (thesis 4.2, 4.3).
 
-The first stage of `state_estimator`. Nothing here is smoothed, and a frame knows nothing of the one before it, but for
-the whole turns of the angles. The second stage is a filter, see risc_estimation/filters.
+The first stage of `state_estimator`. Poses are not smoothed. What is known of the frames before: where a body has to be
+that was seen lately (`identity`), whose markers it has if names were exchanged, the whole turns of its angles. What a
+pose is made of is chosen in `body_fit`. The second stage is a filter, see risc_estimation/filters.
+
+Bodies that contradict where they were are compared with each other's markers, all of a frame at once: each gets the
+markers that fit where it has to be. It keeps them while it is seen, whatever their name is. A body that is not known
+has those of its name again, as soon as nobody has them.
 """
 
 import math
@@ -10,14 +15,34 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import pdist
+from scipy.stats import chi2
 
+from risc_estimation.body_fit import (
+    COLLINEAR,
+    FIT,
+    JUMP,
+    MISFIT,
+    NONE,
+    TILTED,
+    UNSEEN,
+    apart_m,
+    find_markers,
+    fit_markers,
+    fit_some_markers,
+    is_steady,
+)
+from risc_estimation.identity import PATH, contradict, foresee, go_on, is_known
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
-from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
+from risc_estimation.rigid_fit import MIN_MARKERS
 from risc_lab.compiled import compiled, record, with_row
 from risc_lab.frames import euler_of_body_in_cortex
 from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_lab.settings import NotNegative, Positive, Settings, between
+
+_CLEAR = 0.5  # markers belong to a body when they are nearer to it than that part of what any others are
 
 
 @dataclass(frozen=True)
@@ -25,15 +50,26 @@ class PoseFitParams(Settings):
     """Which markers and poses are believed: parameters of states_estimation.py, too."""
 
     marker_limit_m: Positive = 100.0  # [m] larger coordinates mean a lost marker (9999.999 m in bags of the original)
-    marker_noise_m: NotNegative = 0.002  # [m] 1 sigma of a marker, for the covariances; 0: from each fit's residual
+    marker_noise_m: NotNegative = 0.002  # [m] 1 sigma of a coordinate of a marker; 0: from each fit's residual
+    # [m] the same of its place on the body as the template says it: of calipers, or of a minute of motion capture
+    template_tolerance_m: NotNegative = 0.001
+    # of a good pose to be refused, for its residual or for where it is, if both sigmas are true; 0: only residual_max_m
+    # counts
+    false_reject_probability: between(0.0, 0.1) = 1e-5
     # a marker with the very same coordinates in so many frames in a row is lost: its picture stands still; 0 = off, for
     # exact simulators. Cameras measure a marker anew in each frame, however still it is
     frozen_frames: between(0, 1000) = 3
-    # [m] worst rms distance of the markers from the fitted template; with four or more markers the worst one is left
-    # out and the rest tried again
-    residual_max_m: Positive = 0.015
+    residual_max_m: Positive = 0.015  # [m] worst rms distance of the markers from the fitted template, in any case
     min_spread_m: Positive = 0.01  # [m] markers closer than this to one line give no attitude
     tilt_max_rad: Positive = 2.1  # [rad] 120 degrees: three markers of a square fit upside down when two are swapped
+    # [s] a body that was seen less long ago must be where it can have come to; else it is refused for so long. 0: each
+    # frame is taken for itself
+    memory_s: NotNegative = 0.3
+    # what a body can do; also the tip of a pendulum, and an IRIS+ that is thrown about by hand
+    acceleration_max_m_s2: Positive = 20.0
+    speed_max_m_s: Positive = 5.0  # of a body that has just been seen for the first time
+    angular_acceleration_max_rad_s2: Positive = 200.0  # attitude loop of 15 rad/s, stepped by 50 degrees
+    turn_rate_max_rad_s: Positive = 8.0
     # [m] a vehicle outside of this box is invisible: the net of the fleet file, unless these are set
     arena_x_m: Positive = NET_HALF_X_M  # half its length
     arena_y_m: Positive = NET_HALF_Y_M  # half its width
@@ -45,20 +81,39 @@ class PoseFitParams(Settings):
         """The same settings for another Arena."""
         return replace(self, arena_x_m=arena.half_x_m, arena_y_m=arena.half_y_m, arena_z_max_m=arena.height_m)
 
-    def limits(self):
-        """(1,) LIMITS."""
-        lower_m = np.array([-self.arena_x_m, -self.arena_y_m, self.arena_z_min_m]) - self.arena_margin_m
-        upper_m = np.array([self.arena_x_m, self.arena_y_m, self.arena_z_max_m]) + self.arena_margin_m
-        cos_tilt_max = math.cos(min(self.tilt_max_rad, math.pi))
-        gates = (
-            self.marker_limit_m,
-            self.residual_max_m,
-            self.min_spread_m,
-            cos_tilt_max,
-            self.frozen_frames or math.inf,
-        )
-        row = (*gates, lower_m, upper_m)
-        return np.array([row], dtype=LIMITS)
+    def fixed(self):
+        """(1,) FIXED with these settings."""
+        fixed, on = np.zeros(1, dtype=FIXED), self.false_reject_probability > 0.0
+        gates, limits, reach = fixed["gates"], fixed["fit"]["limits"], fixed["fit"]["reach"]
+        gates["marker_m"], gates["frozen_frames"] = self.marker_limit_m, self.frozen_frames or math.inf
+        gates["lower_m"] = -self.arena_x_m, -self.arena_y_m, self.arena_z_min_m
+        gates["upper_m"] = self.arena_x_m, self.arena_y_m, self.arena_z_max_m
+        gates["lower_m"] -= self.arena_margin_m
+        gates["upper_m"] += self.arena_margin_m
+        limits["residual_max_m"], limits["min_spread_m"] = self.residual_max_m, self.min_spread_m
+        limits["cos_tilt_max"] = math.cos(min(self.tilt_max_rad, math.pi))
+        limits["left_out_most"] = 2 if on else 1  # two of five leave three, which nearly anything fits without a gate
+        reach["noise_m"] = self._sigma_m
+        reach["gate"] = math.sqrt(chi2.isf(self.false_reject_probability, 3)) if on else math.inf
+        reach["memory_s"] = self.memory_s or -1.0  # never
+        reach["acceleration_m_s2"], reach["speed_m_s"] = self.acceleration_max_m_s2, self.speed_max_m_s
+        reach["angular_rad_s2"] = self.angular_acceleration_max_rad_s2
+        reach["turn_rad_s"] = self.turn_rate_max_rad_s
+        return fixed
+
+    @property
+    def _sigma_m(self):
+        """Of a coordinate of a marker, from where the fitted template has it [m]."""
+        return math.hypot(self.marker_noise_m or 0.2 * self.residual_max_m, self.template_tolerance_m)
+
+    def residuals_m(self, most):
+        """(most + 1,) largest rms distance of so many markers from the fitted template [m]."""
+        largest_m = np.full(most + 1, self.residual_max_m)
+        if self.false_reject_probability > 0.0 and self.marker_noise_m > 0.0:
+            count = np.arange(MIN_MARKERS, most + 1)
+            squares = chi2.isf(self.false_reject_probability, 3 * count - 6) / count
+            largest_m[count] = np.minimum(self.residual_max_m, self._sigma_m * np.sqrt(squares))
+        return largest_m
 
     def __post_init__(self):
         super().__post_init__()
@@ -68,24 +123,30 @@ class PoseFitParams(Settings):
             )
 
 
-LIMITS = record(
-    "marker_m residual_max_m min_spread_m cos_tilt_max frozen_frames",
+GATES = record(
+    "marker_m frozen_frames",
     ("lower_m", float, (3,)),  # corners of the arena
     ("upper_m", float, (3,)),
+    ("shows_jumps", bool),  # poses that contradict are present all the same: the filter has a gate of its own
 )
-# how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
-_GATES = "markers_left_out", "markers_frozen", "misfits", "collinear", "tilted", "outside"
-REFUSALS = record(*[(gate, int) for gate in _GATES])
+# how often a gate has refused, or something was mended; the fields of `risc_estimation.state_estimator.EstimatorCounts`
+_COUNTED = "markers_left_out", "markers_frozen", "misfits", "collinear", "tilted", "jumps", "outside"
+_MENDED = "swaps_mended", "filled_in", "exchanges"
+REFUSALS = record(*[(name, int) for name in _COUNTED + _MENDED])
 BODY = record(
     ("markers", int),  # of its template
     ("has_attitude", bool),  # not of an attached body
-    ("first", int),  # its markers in those of the frame
+    "apart_m",  # least distance between two markers of its template
+    ("first", int),  # the markers of its name in those of the frame
     ("count", int),
-    ("stamp_s", float),  # of its newest pose
-    ("residual_m", float),
+    ("place", int),  # row of the body whose name its markers have: its own, unless names are exchanged
+    ("moved", bool),  # it has just been given the markers of another name
+    ("known", bool),  # it was seen lately, before the newest frame
+    ("doubt", int),  # about its pose in the newest frame
+    "stamp_s residual_m",  # of its newest pose
     ("rotation", float, (3, 3)),
 )
-FIXED = record(("limits", LIMITS), ("refusals", REFUSALS), ("work", WORK), ("pose", POSE))  # what all bodies share
+FIXED = record(("gates", GATES), ("refusals", REFUSALS), ("fit", FIT))  # what all bodies share
 
 
 class _Bodies(NamedTuple):
@@ -97,6 +158,7 @@ class _Bodies(NamedTuple):
     used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
     flags: np.ndarray  # (2, bodies) bool: present, inside
     measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
+    paths: np.ndarray  # (bodies, 3) PATH: `identity` explains them
 
 
 class _Landmarks(NamedTuple):
@@ -106,6 +168,22 @@ class _Landmarks(NamedTuple):
     offsets_m: np.ndarray  # (landmarks, most markers, 3)
     positions_m: np.ndarray  # (landmarks, 3) of those seen in the newest frame, which come first
     rows: np.ndarray  # (landmarks,) which ones these are
+
+
+class _Scratch(NamedTuple):
+    """What is filled anew for each body or frame, but for residuals_m. n: most markers."""
+
+    seen: np.ndarray  # (n,) bool
+    tried: np.ndarray  # (n,) bool
+    found: np.ndarray  # (n,) int, see `find_markers`
+    found_m: np.ndarray  # (n, 3)
+    residuals_m: np.ndarray  # (n + 1,), see `PoseFitParams`
+    costs_m: (
+        np.ndarray
+    )  # (bodies, bodies): how far from where one has to be the markers of another have it; inf: no fit
+
+
+NOTHING = np.zeros((0, 3))
 
 
 class Poses:
@@ -169,14 +247,16 @@ class Poses:
 class PoseFit:
     """Frames of named marker sets in, `Poses` and landmarks out. Not thread-safe."""
 
-    def __init__(self, templates, params=None, on_body=lambda template: None):
+    def __init__(self, templates, params=None, on_body=lambda template: None, shows_jumps=False):
         """templates: dict name -> risc_lab.lab.templates.Template.   on_body: told of every body that gets a row.
+        shows_jumps: poses that contradict where the body was are counted, but present.
 
         Raises ValueError if a template of another kind than landmark has fewer than three markers.
         """
         params = params or PoseFitParams()
         self.names, self.landmark_names = (), ()
         self.unknown = Counter()  # frames by name that no template knows
+        self.exchanged = Counter()  # how often by (body, name that its markers had)
         self._templates, self._on_body = dict(templates), on_body
         for template in self._templates.values():
             if template.kind != kinds.LANDMARK and len(template.markers_m) < MIN_MARKERS:
@@ -185,8 +265,8 @@ class PoseFit:
                     % (template.name, len(template.markers_m), template.kind, MIN_MARKERS)
                 )
         most = max([len(template.markers_m) for template in self._templates.values()], default=0)
-        self._fixed, self._marker_visible = np.zeros(1, dtype=FIXED), np.zeros(most, dtype=bool)
-        self._fixed["limits"] = params.limits()
+        self._fixed = params.fixed()
+        self._fixed["gates"]["shows_jumps"] = shows_jumps
         self._bodies = _Bodies(
             table=np.zeros(0, dtype=BODY),
             templates_m=np.zeros((0, most, 3)),
@@ -194,6 +274,15 @@ class PoseFit:
             used=np.zeros((0, most), dtype=bool),
             flags=np.zeros((2, 0), dtype=bool),
             measured=np.zeros((2, 0, 3)),
+            paths=np.zeros((0, 3), dtype=PATH),
+        )
+        self._scratch = _Scratch(
+            seen=np.zeros(most, dtype=bool),
+            tried=np.zeros(most, dtype=bool),
+            found=np.zeros(most, dtype=int),
+            found_m=np.zeros((most, 3)),
+            residuals_m=params.residuals_m(most),
+            costs_m=np.zeros((0, 0)),
         )
         self._landmarks = _Landmarks(
             table=np.zeros(0, dtype=LANDMARK),
@@ -209,6 +298,12 @@ class PoseFit:
     def refusals(self):
         """{gate: how often it has refused}, up to now."""
         return dict(zip(REFUSALS.names, self._fixed["refusals"][0].tolist()))
+
+    @property
+    def misses_a_body(self):
+        """Whether one that was seen lately has no pose in the newest frame."""
+        table = self._bodies.table
+        return bool((table["known"] & (table["doubt"] != NONE)).any())
 
     def body_names(self):
         """Names of the templates of all bodies that may get a row."""
@@ -227,22 +322,29 @@ class PoseFit:
             landmarks.table["markers"][-1] = count
             landmarks.offsets_m[-1, :count] = template.markers_m
         else:
-            self.names += (name,)
+            row, self.names = len(self.names), (*self.names, name)
             self._bodies = bodies = _with_row(self._bodies)
+            self._scratch = self._scratch._replace(costs_m=np.full((row + 1, row + 1), math.inf))
             table = bodies.table[-1:]
             table["markers"], table["has_attitude"], table["stamp_s"] = count, template.kind == kinds.VEHICLE, -math.inf
+            table["place"], table["apart_m"] = row, pdist(template.markers_m).min()
             bodies.templates_m[-1, :count] = template.markers_m
             self.poses.names = self.names
             self.poses.take(self._bodies)
             self._on_body(template)
 
-    def update(self, stamp_s, layout, markers_m):
+    def forget(self):
+        """Nothing is known of where bodies were: their stamps mean nothing on the clock that the next frame has."""
+        self._bodies.paths["lives"] = False
+        self._bodies.table["place"] = np.arange(len(self.names))
+
+    def update(self, stamp_s, layout, markers_m, loose_m=NOTHING):
         """Fit one frame: brings `poses` up to date. Returns (names of the landmarks seen, (landmarks, 3) [m]).
 
         stamp_s: time of exposure [s].   layout: ((name, number of markers), ...), a tuple.   markers_m: (markers, 3) of
         all bodies in that order [m], cortex frame, each body's in its template's order. A lost marker is NaN, infinite
         or beyond marker_limit_m; markers beyond the template's are ignored, missing ones at the end count as lost. Of
-        two bodies of one name the first counts.
+        two bodies of one name the first counts.   loose_m: (u, 3) markers without a label [m].
         Raises ValueError when layout and markers_m do not match.
         """
         if layout != self._layout:
@@ -254,7 +356,12 @@ class PoseFit:
         for name in self._unknown_here:
             self.unknown[name] += 1
         self.poses.stamp_s = stamp_s = float(stamp_s)
-        seen = _fit_frame(stamp_s, *self._arguments)
+        if loose_m is not NOTHING:
+            loose_m = np.array(loose_m, dtype=float).reshape(-1, 3)
+        seen = _fit_frame(stamp_s, False, loose_m, *self._arguments)
+        if seen < 0:
+            self._exchange()
+            seen = _fit_frame(stamp_s, True, loose_m, *self._arguments)
         names = self.landmark_names
         if seen < len(names):
             names = tuple([names[row] for row in self._landmarks.rows[:seen]])
@@ -273,7 +380,32 @@ class PoseFit:
                 table["first"][row], table["count"][row] = places.get(name, (0, 0))
         self._layout, self._markers_m = layout, np.zeros((first, 3))
         self._unknown_here = [name for name in places if name not in self._templates]
-        self._arguments = self._markers_m, self._fixed, self._marker_visible, *self._bodies, *self._landmarks
+        self._arguments = self._markers_m, self._fixed, *self._scratch, *self._bodies, *self._landmarks
+
+    def _exchange(self):
+        """Give the markers of this frame to the bodies to which they belong, as far as that is clear."""
+        table, costs_m = self._bodies.table, self._scratch.costs_m
+        fits = np.isfinite(costs_m)
+        rows, columns = np.flatnonzero(fits.any(axis=1)), np.flatnonzero(fits.any(axis=0))
+        among_m = costs_m[np.ix_(rows, columns)]
+        taken = {}  # body: the one whose markers it gets
+        for row, column in zip(*linear_sum_assignment(np.where(np.isfinite(among_m), among_m, 1e9))):
+            others_m = np.concatenate([np.delete(among_m[row], column), np.delete(among_m[:, column], row)])
+            if among_m[row, column] < _CLEAR * others_m.min(initial=math.inf):
+                taken[int(rows[row])] = int(columns[column])
+        places = table["place"].tolist()
+        given = {mine: places[other] for mine, other in taken.items()}
+        left = {places[mine] for mine in taken} - set(given.values())
+        for other in set(taken.values()) - set(taken):
+            given[other] = other if other in left else min(left)
+            left.remove(given[other])
+        for mine, place in given.items():
+            table["place"][mine], table["moved"][mine] = place, True
+            if not table["known"][mine]:  # what it has seen was another one
+                self._bodies.paths["lives"][mine] = False
+        new = [(self.names[mine], self.names[given[mine]]) for mine in taken if given[mine] != mine]
+        self.exchanged.update(new)
+        self._fixed["refusals"]["exchanges"] += bool(new)
 
 
 def _with_row(table):
@@ -287,37 +419,69 @@ def _with_row(table):
 # The arrays come one by one, since a tuple of them takes three times as long to pass.
 @compiled
 def _fit_frame(
-    stamp_s, markers_m, fixed, marker_visible,
-    table, templates_m, newest, used, flags, measured,
+    stamp_s, again, loose_m, markers_m, fixed,
+    seen, tried, found, found_m, residuals_m, costs_m,
+    table, templates_m, newest, used, flags, measured, paths,
     l_table, l_offsets_m, l_positions_m, l_rows,
 ):  # fmt: skip
-    """One frame: updates all tables. Returns how many landmarks are seen.
+    """One frame: updates all tables. Returns how many landmarks are seen; -1: names are exchanged, costs_m is filled.
 
-    stamp_s [s]; markers_m (markers, 3) [m]; fixed: (1,) FIXED; marker_visible: (most markers,) bool.  After them: the
-    fields of _Bodies and of _Landmarks.
+    stamp_s [s]; again: the second time, bodies have been given other markers; loose_m: (u, 3) [m]; markers_m:
+    (markers, 3) [m]; fixed: (1,) FIXED.  After them: the fields of _Scratch, of _Bodies and of _Landmarks.
     """
-    bodies = _Bodies(table, templates_m, newest, used, flags, measured)
-    limits, refusals = fixed[0].limits, fixed[0].refusals
+    scratch = _Scratch(seen, tried, found, found_m, residuals_m, costs_m)
+    bodies = _Bodies(table, templates_m, newest, used, flags, measured, paths)
+    gates, refusals = fixed[0].gates, fixed[0].refusals
+    doubtful = False
     for i in range(len(table)):
-        flags[0, i] = flags[1, i] = _locate(bodies, i, stamp_s, markers_m, fixed[0])
+        body = table[i]
+        if not again:
+            body.moved = False
+            if body.place != i:
+                _take_back(bodies, i, stamp_s, fixed[0].fit.reach)
+        if body.moved or not again:
+            markers, mine, path, place = (
+                _named(table[body.place], markers_m),
+                used[i, : body.markers],
+                paths[i],
+                measured[:, i],
+            )
+            body.doubt = _locate(
+                body, templates_m[i], markers, newest[i], mine, place, path, residuals_m, stamp_s, fixed[0]
+            )
+            if body.doubt != NONE:
+                body.doubt = _recover(
+                    body, templates_m[i], markers, loose_m, mine, place, path, scratch, stamp_s, fixed[0]
+                )
+        doubtful = doubtful or body.doubt != NONE and body.known
+    if doubtful and not again and _compare(bodies, stamp_s, markers_m, fixed[0], scratch):
+        return -1
+    for i in range(len(table)):
+        doubt = table[i].doubt
+        flags[0, i] = flags[1, i] = doubt == NONE or doubt == JUMP and gates.shows_jumps
         for axis in range(3):
-            if flags[1, i] and not limits.lower_m[axis] <= measured[0, i, axis] <= limits.upper_m[axis]:
+            if flags[1, i] and not gates.lower_m[axis] <= measured[0, i, axis] <= gates.upper_m[axis]:
                 refusals.outside += 1
                 flags[1, i] = False
+        if doubt != NONE:
+            refusals.misfits += doubt == MISFIT
+            refusals.collinear += doubt == COLLINEAR
+            refusals.tilted += doubt == TILTED
+            refusals.jumps += doubt == JUMP
     landmarks = _Landmarks(l_table, l_offsets_m, l_positions_m, l_rows)
-    return _find_landmarks(landmarks, markers_m, limits, marker_visible)
+    return _find_landmarks(landmarks, markers_m, gates, fixed[0].fit.limits, seen)
 
 
 @compiled
-def see_markers(markers, limits, visible):
+def see_markers(markers, gates, visible):
     """Fills visible (n,): which of the first n markers (k, 3) [m] are there and not lost. Returns how many."""
     count = 0
     for i in range(len(visible)):
         visible[i] = (
             i < len(markers)
-            and abs(markers[i, 0]) < limits.marker_m
-            and abs(markers[i, 1]) < limits.marker_m
-            and abs(markers[i, 2]) < limits.marker_m
+            and abs(markers[i, 0]) < gates.marker_m
+            and abs(markers[i, 1]) < gates.marker_m
+            and abs(markers[i, 2]) < gates.marker_m
         )
         if visible[i]:
             count += 1
@@ -325,7 +489,7 @@ def see_markers(markers, limits, visible):
 
 
 @compiled
-def _leave_frozen(newest, markers, limits, used):
+def _leave_frozen(newest, markers, gates, used):
     """Take those out of used (n,) bool that stand still; returns how many. newest: (>= n, 4) of _Bodies."""
     count = 0
     for i in range(min(len(used), len(markers))):
@@ -334,47 +498,168 @@ def _leave_frozen(newest, markers, limits, used):
             same = same and newest[i, axis] == markers[i, axis]
             newest[i, axis] = markers[i, axis]
         newest[i, 3] = newest[i, 3] + 1.0 if same else 0.0
-        if used[i] and newest[i, 3] + 1.0 >= limits.frozen_frames:
+        if used[i] and newest[i, 3] + 1.0 >= gates.frozen_frames:
             used[i] = False
             count += 1
     return count
 
 
+# Arrays have counts of references: to pass all of them on for each body would take as long as its fit.
 @compiled
-def _locate(bodies, i, stamp_s, markers_m, fixed):
-    """Pose of a body from the markers of this frame; returns whether it is believed."""
-    limits, refusals, work, pose = fixed.limits, fixed.refusals, fixed.work, fixed.pose
-    body, template = bodies.table[i], bodies.templates_m[i]
-    markers, used = markers_m[body.first : body.first + body.count], bodies.used[i, : body.markers]
-    count = see_markers(markers, limits, used)
-    frozen = _leave_frozen(bodies.newest[i], markers, limits, used)
-    count, refusals.markers_frozen = count - frozen, refusals.markers_frozen + frozen
+def _locate(body, template, markers, newest, used, measured, paths, residuals_m, stamp_s, fixed):
+    """Pose of a body from all of its markers (k, 3); returns a doubt about it. Fills used, and without one the rest.
+
+    body: BODY. After it: its rows of `_Bodies`; of measured those of all quantities.
+    """
+    fit = fixed.fit
+    count = see_markers(markers, fixed.gates, used)
+    frozen = _leave_frozen(newest, markers, fixed.gates, used)
+    count, fixed.refusals.markers_frozen = count - frozen, fixed.refusals.markers_frozen + frozen
+    body.known = is_known(paths, stamp_s, fit.reach)
+    if body.known:
+        foresee(paths, stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
     if count < MIN_MARKERS:
-        return False
-    fit_pose(template, markers, used, work, pose)
-    if not pose.residual_m <= limits.residual_max_m:
+        return UNSEEN
+    doubt = fit_markers(template, markers, used, residuals_m, body.has_attitude, body.known, fit)
+    if doubt == NONE:
+        _believe(body, paths, measured, stamp_s, count, fit)
+    return doubt
+
+
+@compiled
+def _recover(body, template, markers, loose_m, used, measured, paths, scratch, stamp_s, fixed):
+    """The same of a body where `_locate` had a doubt, from other markers or from some of them."""
+    refusals, fit, residuals_m, count = fixed.refusals, fixed.fit, scratch.residuals_m, _count(used)
+    if body.known:
+        seen, found, found_m = scratch.seen[: body.markers], scratch.found, scratch.found_m
+        seen[:] = used
+        some = find_markers(
+            template, body.apart_m, markers, seen, loose_m, fixed.gates.marker_m, fit, found_m, used, found
+        )
+        if (
+            some >= MIN_MARKERS
+            and fit_some_markers(template, found_m, used, residuals_m, body.has_attitude, True, fit) == NONE
+        ):
+            own, swapped, filled = _own_of(found, used, min(len(markers), len(seen)))
+            if own == count or is_steady(fit.pose, body.has_attitude, fit.reach):
+                refusals.markers_left_out += count - own
+                refusals.swaps_mended += swapped
+                refusals.filled_in += filled
+                _believe(body, paths, measured, stamp_s, _count(used), fit)
+                return NONE
+        used[:] = seen
         if count > MIN_MARKERS:
-            fit_pose_without_worst(template, markers, used, work, pose)
-        if not pose.residual_m <= limits.residual_max_m:
-            refusals.misfits += 1
-            return False
-        refusals.markers_left_out += 1
-    if not pose.spread_m >= limits.min_spread_m:
-        refusals.collinear += 1
-        return False
-    if body.has_attitude and not -pose.rotation[2, 2] >= limits.cos_tilt_max:
-        refusals.tilted += 1
-        return False
+            if fit_some_markers(template, markers, used, residuals_m, body.has_attitude, True, fit) == NONE:
+                refusals.markers_left_out += count - _count(used)
+                _believe(body, paths, measured, stamp_s, _count(used), fit)
+                return NONE
+            used[:] = seen
+    if count < MIN_MARKERS:
+        return UNSEEN
+    doubt = fit_some_markers(template, markers, used, residuals_m, body.has_attitude, False, fit)
+    if doubt != NONE:
+        return doubt
+    left = _count(used)
+    if not body.known:
+        _believe(body, paths, measured, stamp_s, left, fit)
+    elif contradict(paths, stamp_s, fit.pose, left, body.has_attitude, fit.reach, fit.ahead):
+        _keep(body, measured, stamp_s, fit.pose)
+    else:
+        doubt = JUMP
+        if fixed.gates.shows_jumps:
+            _keep(body, measured, stamp_s, fit.pose)
+    refusals.markers_left_out += count - left
+    return doubt
+
+
+@compiled
+def _named(body, markers_m):
+    """The markers of a frame that have the name of a body (BODY)."""
+    return markers_m[body.first : body.first + body.count]
+
+
+@compiled
+def _count(used):
+    count = 0
+    for k in range(len(used)):
+        if used[k]:
+            count += 1
+    return count
+
+
+@compiled
+def _own_of(found, used, labelled):
+    """Of the markers that `find_markers` has found and that are used: how many had a label; 1 if any had a wrong one; 1
+    if any had none.
+    """
+    own, swapped, filled = 0, 0, 0
+    for k in range(len(used)):
+        if used[k]:
+            if found[k] < labelled:
+                own += 1
+                if found[k] != k:
+                    swapped = 1
+            else:
+                filled = 1
+    return own, swapped, filled
+
+
+@compiled
+def _believe(body, paths, measured, stamp_s, count, fit):
+    """Keep a pose, of so many markers, that does not contradict."""
+    go_on(paths, stamp_s, fit.pose, count, body.has_attitude, fit.reach, fit.ahead)
+    _keep(body, measured, stamp_s, fit.pose)
+
+
+@compiled
+def _keep(body, measured, stamp_s, pose):
+    """Fill the rows of a body, in table and measured (2, 3), with a POSE."""
     body.stamp_s, body.residual_m = stamp_s, pose.residual_m
     body.rotation[:, :] = pose.rotation
-    bodies.measured[0, i] = pose.position_m
+    measured[0] = pose.position_m
     if body.has_attitude:
         phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
-        angles_rad = bodies.measured[1, i]
         for axis in range(3):  # whole turns are added to be nearest to the last
-            turned = (phi, theta, psi)[axis] - angles_rad[axis]
-            angles_rad[axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
-    return True
+            turned = (phi, theta, psi)[axis] - measured[1, axis]
+            measured[1, axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
+
+
+@compiled
+def _take_back(bodies, i, stamp_s, reach):
+    """A body that is not known has the markers of its name again, if nobody has them who is."""
+    if is_known(bodies.paths[i], stamp_s, reach):
+        return
+    for j in range(len(bodies.table)):
+        if bodies.table[j].place == i and not is_known(bodies.paths[j], stamp_s, reach):
+            bodies.table[j].place, bodies.table[i].place = bodies.table[i].place, i
+            return
+
+
+@compiled
+def _compare(bodies, stamp_s, markers_m, fixed, scratch):
+    """Fill costs_m: of each known body in doubt, with the markers of others that are in doubt or were not known.
+
+    Returns whether any fit.
+    """
+    fit, some = fixed.fit, False
+    for i in range(len(bodies.table)):
+        body, template = bodies.table[i], bodies.templates_m[i]
+        scratch.costs_m[i, :] = math.inf
+        if body.doubt == NONE or not body.known:
+            continue
+        foresee(bodies.paths[i], stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
+        tried, seen = scratch.tried[: body.markers], scratch.seen[: body.markers]
+        for j in range(len(bodies.table)):
+            if j == i or bodies.table[j].doubt == NONE and bodies.table[j].known:
+                continue
+            markers = _named(bodies.table[bodies.table[j].place], markers_m)
+            if see_markers(markers, fixed.gates, seen) < MIN_MARKERS:
+                continue
+            tried[:] = seen
+            doubt = fit_some_markers(template, markers, tried, scratch.residuals_m, body.has_attitude, True, fit)
+            if doubt == NONE:
+                scratch.costs_m[i, j], some = apart_m(template, body.markers, fit.pose, fit.ahead), True
+    return some
 
 
 @compiled
@@ -441,14 +726,14 @@ def _solve(A):
 
 
 @compiled
-def _find_landmarks(landmarks, markers_m, limits, marker_visible):
+def _find_landmarks(landmarks, markers_m, gates, limits, marker_visible):
     """Fills positions and rows of the landmarks that are seen in this frame; returns how many."""
     count = 0
     for i in range(len(landmarks.table)):
         landmark = landmarks.table[i]
         measured = markers_m[landmark.first : landmark.first + landmark.count]
         seen = marker_visible[: landmark.markers]
-        see_markers(measured, limits, seen)
+        see_markers(measured, gates, seen)
         offsets, position_m = landmarks.offsets_m[i], landmarks.positions_m[count]
         if locate_landmark(landmark, offsets, measured, seen, limits.residual_max_m, position_m):
             landmarks.rows[count] = i

@@ -66,25 +66,6 @@ def fit_pose(template, measured, visible, work, pose):
 
 
 @compiled
-def fit_pose_without_worst(template, measured, visible, work, pose):
-    """Fit one body without the marker that spoils the fit most, and clear that marker's `visible`; returns its index.
-
-    A swapped or ghost marker spoils the fit of all; without it the rest fits again. As `fit_pose`, but at least two.
-    """
-    worst, least_m = -1, math.inf
-    for i in range(len(visible)):
-        if visible[i]:
-            visible[i] = False
-            fit_pose(template, measured, visible, work, pose)
-            visible[i] = True
-            if pose.residual_m < least_m:
-                worst, least_m = i, pose.residual_m
-    visible[worst] = False
-    fit_pose(template, measured, visible, work, pose)
-    return worst
-
-
-@compiled
 def _rotation_of(axes, turns, rotation):
     """Fills the rotation R that maximises trace(R^T axes); returns the second singular value of axes.
 

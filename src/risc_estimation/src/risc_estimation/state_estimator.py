@@ -15,7 +15,7 @@ import numpy as np
 
 from risc_estimation.filters import make_filter
 from risc_estimation.given_poses import GivenPoses
-from risc_estimation.pose_fit import PoseFit
+from risc_estimation.pose_fit import NOTHING, PoseFit
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import LANDMARK
 
@@ -42,13 +42,18 @@ class EstimatorCounts:
     duplicate_stamps: int = 0  # frames refused: same stamp as the one before
     backward_stamps: int = 0  # frames refused: older than the one before, far ahead of it, or not a number
     clock_resets: int = 0  # stamps of a new clock, or after ten seconds of silence: started afresh
-    markers_left_out: int = 0  # one marker did not fit and the body was estimated without it
+    markers_left_out: int = 0  # a marker did not fit and the body was estimated without it
     markers_frozen: int = 0  # one marker stood still for some frames, and was no measurement any more
     misfits: int = 0  # body refused: residual too large
     collinear: int = 0  # body refused: visible markers on one line
     tilted: int = 0  # body refused: upside down
+    jumps: int = 0  # body refused: where it cannot have come to
     outside: int = 0  # body invisible: outside the arena
+    swaps_mended: int = 0  # body estimated although labels of its markers were exchanged
+    filled_in: int = 0  # body estimated with markers that have no label
+    exchanges: int = 0  # bodies had each other's name, and were given their markers
     unknown: Counter = field(default_factory=Counter)  # frames by name that no template knows
+    exchanged: Counter = field(default_factory=Counter)  # exchanges by (body, name that its markers had)
 
 
 class _Estimator:
@@ -68,6 +73,9 @@ class _Estimator:
     def _pose(self, stamp_s, *frame):
         """Bring `poses` up to date with a frame. Returns (names of landmarks seen, (landmarks, 3) [m]), or ()."""
         raise NotImplementedError
+
+    def _forget(self):
+        """The clock was set: where bodies were when says nothing now."""
 
     @property
     def names(self):
@@ -120,6 +128,7 @@ class _Estimator:
         if step is Step.NEW_CLOCK:
             self._counts.clock_resets += 1
             self._late.clear()
+            self._forget()
             self._filter.reset()
             self._coasted_s = -math.inf
         while self._late:
@@ -175,9 +184,13 @@ class StatesEstimator(_Estimator):
         landmark's has fewer than three markers.
         """
         velocity_filter, types = velocity_filter or make_filter(), vehicle_types or {}
-        self._fit = PoseFit(templates, params, lambda t: velocity_filter.add_body(t, types.get(t.name)))
+
+        def add(template):
+            velocity_filter.add_body(template, types.get(template.name))
+
+        self._fit = PoseFit(templates, params, add, velocity_filter.GATES)
         super().__init__(velocity_filter, self._fit.poses)
-        self._counts.unknown = self._fit.unknown
+        self._counts.unknown, self._counts.exchanged = self._fit.unknown, self._fit.exchanged
         _check_listed(vehicles, self._fit.body_names())
         for name in vehicles:
             self._fit.admit(name)
@@ -190,18 +203,26 @@ class StatesEstimator(_Estimator):
         """`filters.Innovations` of the newest frame; None if the filter has none."""
         return self._filter.innovations(self.poses)
 
-    def update(self, stamp_s, layout, markers_m):
-        """Estimate one frame. layout and markers_m: see `PoseFit.update`.
+    @property
+    def misses_a_body(self):
+        """Whether one that was seen lately has no pose in the newest frame."""
+        return self._fit.misses_a_body
+
+    def update(self, stamp_s, layout, markers_m, loose_m=NOTHING):
+        """Estimate one frame. layout, markers_m and loose_m: see `PoseFit.update`.
 
         stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted), or is not
         later than states that `coast` has given. A frame that is not older than the filter's late_s reaches the filter
         all the same, with the next one that advances: by then it is known that the clock was not set.
         Raises ValueError when layout and markers_m do not match.
         """
-        return self._update(stamp_s, layout, markers_m)
+        return self._update(stamp_s, layout, markers_m, loose_m)
 
-    def _pose(self, stamp_s, layout, markers_m):
-        return self._fit.update(stamp_s, layout, markers_m)
+    def _pose(self, stamp_s, layout, markers_m, loose_m):
+        return self._fit.update(stamp_s, layout, markers_m, loose_m)
+
+    def _forget(self):
+        self._fit.forget()
 
 
 class PosesEstimator(_Estimator):

@@ -72,7 +72,7 @@ def replay(tape, estimator, cameras, see=lambda k, seen: seen):
         for said in told:
             estimator.on_board(*said)
         seen = see(k, cameras.observe(time_s, tape.layout, markers_m))
-        yield k, seen, estimator.update(time_s, seen.layout, seen.markers_m)
+        yield k, seen, estimator.update(time_s, seen.layout, seen.markers_m, seen.unidentified_m)
 
 
 class _Taped(RunningFlight):

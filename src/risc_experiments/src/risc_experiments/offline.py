@@ -290,7 +290,7 @@ class RunningFlight:
         """Hand the estimator what has arrived. Returns whether it has made anything of it."""
         hears = False
         for seen in self._mocap.arrived:
-            estimate = self._estimator.update(seen.time_s, seen.layout, seen.markers_m)
+            estimate = self._estimator.update(*seen)
             if estimate is not None:
                 self._estimate, self._stamp_s, hears = estimate, seen.time_s, True
         self._mocap.arrived.clear()

@@ -8,7 +8,8 @@ from data_extraction.report.topics import PerName
 # How the topic of a node's status ends -> those of its counters that are decisions (words: templates/sections.html).
 GATES = {
     "estimator_status": ("duplicate_stamps", "backward_stamps", "clock_resets", "markers_left_out", "markers_frozen",
-                         "misfits", "collinear", "tilted", "outside"),
+                         "misfits", "collinear", "tilted", "jumps", "outside", "swaps_mended", "filled_in",
+                         "exchanges"),
     "mocap_status": ("lost", "duplicates", "late", "malformed", "faulty optional parts", "foreign datagrams",
                      "stale answers"),
 }  # fmt: skip

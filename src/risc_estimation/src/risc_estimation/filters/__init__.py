@@ -51,6 +51,7 @@ class VelocityFilter:
     PARAMS = None  # dataclass of settings (`risc_lab.settings`), a field for each key of the YAML file
     late_s = 0.0  # [s] poses may be older by so much than the newest that it has been given; 0 = only newer ones come
     COASTS = False  # it goes on without frames, see `coast`
+    GATES = False  # it refuses poses by itself, and wants those that contradict where a body was, too
     ON_BOARD = ()  # what `on_board` is to be given: COMMAND, quantities of `risc_estimation.sensors`; () costs nothing
 
     def __init__(self, params):

@@ -68,6 +68,7 @@ class Filter(VelocityFilter):
 
     PARAMS = Params
     COASTS = True
+    GATES = True
     ON_BOARD = (COMMAND, "velocity", "attitude")
 
     def __init__(self, params):

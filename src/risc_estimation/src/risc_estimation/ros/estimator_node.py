@@ -59,10 +59,10 @@ class EstimatorNode:
     def __init__(self, estimator, kind, params, fleet, states_topic):
         """kind: class of the filter.  params: NodeParams.  fleet: Fleet or None.  states_topic: where states go."""
         self.estimator = estimator
-        self.lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
+        self.lock = threading.Condition()  # frames, the silence timer and diagnostics have a thread each
         self._vehicles = fleet.vehicles if fleet else ()
         self._rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
-        self._period_s, self._silence_s = 1.0 / self._rate_hz, params.silence_s
+        self.period_s, self._silence_s = 1.0 / self._rate_hz, params.silence_s  # of frames; of none
         self._queue_frames = params.queue_frames(self._rate_hz)
         self._frames = 0  # that were estimated
         self._last_receipt_s = None  # of the newest of them; monotonic clock
@@ -86,7 +86,7 @@ class EstimatorNode:
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
         if self._coasts:
-            Ticker(self._period_s, self._on_gap, "states between frames")
+            Ticker(self.period_s, self._on_gap, "states between frames")
         self._listen_on_board(self.estimator.on_board_wanted)
         rospy.Subscriber(
             topic, kind, self._on_frame, queue_size=self._queue_frames, buff_size=BUFFER_BYTES, tcp_nodelay=True
@@ -149,7 +149,7 @@ class EstimatorNode:
         """A frame is missing: states that the filter predicts, as old as those of the frames before it were."""
         with self.lock:
             stamp_s, last = rospy.get_time() - self._delay_s, self._last_estimate
-            if last is None or stamp_s - last.stamp_s < _GAP_PERIODS * self._period_s:
+            if last is None or stamp_s - last.stamp_s < _GAP_PERIODS * self.period_s:
                 return
             estimate = self.estimator.coast(stamp_s)
             if estimate is not None:
@@ -239,7 +239,7 @@ class EstimatorNode:
 
 def refusals(counts):
     """{cause: how often} of EstimatorCounts."""
-    return {key: value for key, value in sorted(vars(counts).items()) if key not in ("unknown", "frames")}
+    return {key: value for key, value in sorted(vars(counts).items()) if key not in ("unknown", "exchanged", "frames")}
 
 
 def _in_words(counters):
