@@ -217,26 +217,26 @@ def test_what_was_learnt_is_forgotten_where_it_may_not_hold():
 
     def learnt(controller):
         o = controller.controller._observed[0]
-        return [o.phi.level, o.theta.gain, o.height.lag], o.north.push_m_s2
+        return [o.phi.level, o.theta.gain, o.height.lag, o.drag_1_s], o.north.push_m_s2
 
     def taught():
         controller = flatness([ARDRONE])
         update(controller, states(), standing(), 0.0)
         o = controller.controller._observed[0]
-        o.phi.level, o.theta.gain, o.height.lag, o.north.push_m_s2 = 0.02, 0.1, 0.5, 0.3
+        o.phi.level, o.theta.gain, o.height.lag, o.drag_1_s, o.north.push_m_s2 = 0.02, 0.1, 0.5, 0.2, 0.3
         update(controller, states(), standing(), DT_S)
         assert all(learnt(controller)[0]) and learnt(controller)[1]
         return controller
 
     by_hand = taught()
     update(by_hand, states(), standing(), 2 * DT_S, autonomous=False)
-    assert learnt(by_hand)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-4) and learnt(by_hand)[1] > 0.2
+    assert learnt(by_hand)[0] == pytest.approx([0.0, 0.0, 0.0, 0.0], abs=1e-4) and learnt(by_hand)[1] > 0.2
     low = taught()
     update(low, states(position=(0, 0, 0.1)), standing(), 2 * DT_S)
-    assert learnt(low) == ([0.0, 0.0, 0.0], 0.0)
+    assert learnt(low) == ([0.0, 0.0, 0.0, 0.0], 0.0)
     again = taught()
     again.controller.reset()
-    assert learnt(again) == ([0.0, 0.0, 0.0], 0.0)
+    assert learnt(again) == ([0.0, 0.0, 0.0, 0.0], 0.0)
 
 
 def test_weights_can_change_and_wrong_ones_change_nothing():

@@ -123,7 +123,8 @@ def _way_gains(times_s, noise_m, push_m_s3):
 
 @compiled
 def forget(observed, unknown):
-    """Level, gain and lag of a vehicle are not those that were learnt: it stood, or did not obey the commands."""
+    """Level, gain, lag and drag of a vehicle are not those that were learnt: it stood, or did not obey the commands."""
+    observed.drag_1_s = observed.drag_variance = 0.0
     _forget(observed.phi, unknown[0])
     _forget(observed.theta, unknown[0])
     _forget(observed.height, unknown[1])
@@ -169,7 +170,7 @@ def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps
             _correct_axis(phi, tilt[0], unknown[0])
             _correct_axis(theta, tilt[1], unknown[0])
             _correct_axis(height, way[2], unknown[1])
-            more_1_s = _correct_drag(observed, way[0] - north.m, way[1] - east.m, step.way)
+            more_1_s = _correct_drag(observed, way[0] - north.m, way[1] - east.m, step.way, plant)
             _correct_way(north, way[0], way[3], more_1_s, step.way)
             _correct_way(east, way[1], way[4], more_1_s, step.way)
             observed.true_s = time_s
@@ -293,13 +294,13 @@ def _keep_drag(observed, gain, step_s):
 
 
 @compiled
-def _correct_drag(observed, off_north_m, off_east_m, gain):
-    """How much more drag it is by how far the vehicle is from where it was predicted."""
+def _correct_drag(observed, off_north_m, off_east_m, gain, plant):
+    """How much more drag it is by how far the vehicle is from where it was predicted; no vehicle has less than none."""
     north, east, before_1_s = observed.north, observed.east, observed.drag_1_s
     seen = (north.place_m_s**2 + east.place_m_s**2) / gain.variance_m2
     variance = observed.drag_variance / (1.0 + observed.drag_variance * seen)
     by = variance * (north.place_m_s * off_north_m + east.place_m_s * off_east_m) / gain.variance_m2
-    observed.drag_1_s, observed.drag_variance = clipped(before_1_s + by, _DRAG_MAX_1_S), variance
+    observed.drag_1_s, observed.drag_variance = max(clipped(before_1_s + by, _DRAG_MAX_1_S), -plant.drag_1_s), variance
     return observed.drag_1_s - before_1_s
 
 

@@ -112,8 +112,8 @@ class Controller(controllers.Controller):
         self._stamp_s = -np.inf
 
     def step(self, t, states, reference, params):
-        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0, level, gain and lag are
-        forgotten, and nothing counts as sent.
+        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0, level, gain, lag and
+        drag are forgotten, and nothing counts as sent.
         """
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s

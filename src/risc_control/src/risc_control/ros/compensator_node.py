@@ -64,6 +64,7 @@ class CompensatorNode:
         delays = ["%s %.0f ms" % item for item in zip(names, 1e3 * self._compensator.delay_s)]
         rospy.loginfo("%s looks ahead: %s", rospy.get_name(), ", ".join(delays))
 
+    @until_shutdown
     def _on_commands(self, message):
         with self._lock:
             now_s = ros_time_s()
