@@ -23,6 +23,7 @@ from risc_lab.ros.params import known_arena, known_fleet, load_params
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import Counter, EstimatorStatus, MarkerCount, StateCovariances, UnidentifiedMarkers
 
+_LOOSE_MOST = 128  # frames whose markers without a label are kept: more than can wait
 _MATE_S = 0.001  # a frame waits so long for its markers without a label, which come on a connection of their own
 
 
@@ -45,7 +46,7 @@ class StatesEstimationNode(EstimatorNode):
         self._covariances_pub = rospy.Publisher("state_covariances", StateCovariances, queue_size=100, tcp_nodelay=True)
         self._report_pub = rospy.Publisher("estimator_status", EstimatorStatus, queue_size=10, tcp_nodelay=True)
         self._frame = MocapArrays()
-        self._loose_ns, self._loose_m = -1, NOTHING  # the newest markers without a label: stamp, (u, 3) [m]
+        self._loose = {}  # {stamp [ns]: (u, 3) [m]} of the newest frames: markers without a label
         self._told_exchanged = set()
         kind = numpy_msg(UnidentifiedMarkers)
         rospy.Subscriber("mocap_unidentified", kind, self._on_unidentified, queue_size=100, tcp_nodelay=True)
@@ -54,16 +55,20 @@ class StatesEstimationNode(EstimatorNode):
     @until_shutdown
     def _on_unidentified(self, message):
         with self.lock:
-            self._loose_ns, self._loose_m = message.header.stamp.to_nsec(), message.positions.reshape(-1, 3)
+            stamp_ns = message.header.stamp.to_nsec()
+            self._loose.pop(stamp_ns, None)  # so that the newest come last
+            self._loose[stamp_ns] = message.positions.reshape(-1, 3)
+            while len(self._loose) > _LOOSE_MOST:
+                del self._loose[next(iter(self._loose))]
             self.lock.notify_all()
 
     def _loose_of(self, stamp):
         """(u, 3) markers without a label of the frame with this stamp [m], as far as they have come."""
-        stamp_ns = stamp.to_nsec()
-        newest = stamp_ns - self._loose_ns < 2e9 * self.period_s  # the frame before had some
-        if newest and self.estimator.misses_a_body:
-            self.lock.wait_for(lambda: self._loose_ns >= stamp_ns, _MATE_S)
-        return self._loose_m if self._loose_ns == stamp_ns else NOTHING
+        stamp_ns, newest_ns = stamp.to_nsec(), next(reversed(self._loose), -1)
+        lately = 0 < stamp_ns - newest_ns < 2e9 * self.period_s  # the frame before had some
+        if lately and self.estimator.misses_a_body:
+            self.lock.wait_for(lambda: next(reversed(self._loose)) >= stamp_ns, _MATE_S)
+        return self._loose.get(stamp_ns, NOTHING)
 
     @until_shutdown
     def _on_frame(self, message):
@@ -103,9 +108,7 @@ class StatesEstimationNode(EstimatorNode):
         self._report_pub.publish(told)
         for pair in set(report.counts.exchanged) - self._told_exchanged:
             self._told_exchanged.add(pair)
-            rospy.logwarn(
-                "motion capture says '%s' to what is '%s': both are told apart. Correct the names there", *pair[::-1]
-            )
+            rospy.logwarn("motion capture labels '%s' as '%s': both are told apart. Correct the names there", *pair)
 
 
 if __name__ == "__main__":

@@ -93,7 +93,7 @@ def pose_frame():
 def test_raw_poses_leave_field_by_field_and_come_back():
     frame, poses = pose_frame(), GivenPoses()
     for name in frame.names:
-        poses.add(name)
+        poses.add(name, True)
     poses.take(12.5, frame)
     message = conversions.poses_to_msg(Header(stamp=genpy.Time(12, 500000000), frame_id="/cortex"), poses)
     sent = over_the_wire(message, BodyPoses)

@@ -368,3 +368,20 @@ def test_nothing_is_refused_without_a_memory():
         layout, markers_m = frame(rng, 0.0)
         estimator.update(k * DT_S, layout, markers_m + [0.3 * (k % 2), 0.0, 0.0])
         assert estimator.poses.present.all()
+
+
+def test_markers_without_a_label_that_stand_still_are_no_measurement():
+    """As those with one: the picture of a camera that stands still, of a body that hovers."""
+    rng, fit = np.random.default_rng(3), PoseFit(TEMPLATES, PoseFitParams())
+    count = len(TEMPLATES["fluffy_II"].markers_m)
+    layout, lost_m = (("fluffy_II", count),), np.full((count, 3), np.nan)
+    exact_m = TEMPLATES["fluffy_II"].markers_m * [1.0, -1.0, -1.0] + [0.2, 0.1, 1.0]
+    for k in range(40):
+        markers_m = exact_m + rng.normal(0.0, NOISE_M, exact_m.shape)
+        fit.update(k * DT_S, layout, *((markers_m,) if k < 20 else (lost_m, markers_m)))
+        assert fit.poses.present[0]
+    seen = []
+    for k in range(40, 50):
+        fit.update(k * DT_S, layout, lost_m, markers_m)
+        seen.append(bool(fit.poses.present[0]))
+    assert seen == [True] + [False] * 9 and fit.refusals["filled_in"] >= 20

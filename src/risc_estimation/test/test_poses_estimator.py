@@ -89,7 +89,7 @@ def test_bodies_are_found_by_name_and_those_without_a_template_are_counted():
 def test_what_is_not_finite_or_not_there_is_no_pose():
     poses = GivenPoses()
     for name in ("a", "b", "c", "d"):
-        poses.add(name)
+        poses.add(name, True)
     given = frame(["c", "b", "a"])
     given.positions_m[1, 2], given.quats_xyzw[2] = np.nan, 0.0
     poses.take(1.0, given)
@@ -101,7 +101,16 @@ def test_what_is_not_finite_or_not_there_is_no_pose():
 
 def test_angles_do_not_jump_by_whole_turns():
     poses = GivenPoses()
-    poses.add("a")
+    poses.add("a", True)
     for k in range(100):
         poses.take(k * DT_S, frame(["a"], psi=0.1 * k))
         assert poses.angles_rad[0] == pytest.approx([0.0, 0.0, 0.1 * k], abs=1e-9)
+
+
+def test_what_is_attached_has_no_attitude():
+    poses = GivenPoses()
+    poses.add("tip", False)
+    poses.add("vehicle", True)
+    poses.take(1.0, frame(["vehicle", "tip"], psi=0.5))
+    assert poses.present.all() and not poses.angles_rad[0].any()
+    assert abs(poses.angles_rad[1, 2]) == pytest.approx(0.5)

@@ -31,6 +31,7 @@ class GivenPoses:
         self.flags, self.measured = np.zeros((2, 0), dtype=bool), np.zeros((2, 0, 3))
         self.stamps_s, self.residual_m = np.zeros(0), np.zeros(0)
         self.rotation, self._covariances = np.zeros((0, 3, 3)), np.zeros((0, 6, 6))
+        self._has_attitude = np.zeros(0, dtype=bool)  # not of an attached body
         self._plan = None  # names of the newest frame, rows of ours that are in it, where they are there
         _fill_angles(self.rotation, self.flags[0], self.measured[1])  # loads what is compiled
 
@@ -51,16 +52,17 @@ class GivenPoses:
 
     @property
     def angles_rad(self):
-        """(n, 3) roll, pitch, yaw [rad] without jumps of whole turns."""
+        """(n, 3) roll, pitch, yaw [rad] without jumps of whole turns; 0 of what is attached."""
         return self.measured[1]
 
     def covariances(self):
         """(n, 6, 6), see `PoseFrame`; NaN where a body is not present."""
         return self._covariances.copy()
 
-    def add(self, name):
-        """A row for one more body."""
+    def add(self, name, has_attitude):
+        """A row for one more body. has_attitude: not of an attached one, whose attitude means nothing."""
         self.names += (name,)
+        self._has_attitude = np.append(self._has_attitude, has_attitude)
         self.flags, self.measured = with_row(self.flags, 1), with_row(self.measured, 1)
         self.stamps_s, self.residual_m = with_row(self.stamps_s), with_row(self.residual_m)
         self.rotation, self._covariances = with_row(self.rotation), with_row(self._covariances)
@@ -72,9 +74,8 @@ class GivenPoses:
         of which a number is not finite, is not present.
         """
         if self._plan is None or frame.names != self._plan[0]:
-            at = {
-                name: row for row, name in reversed(list(enumerate(frame.names)))
-            }  # of two of a name the first counts
+            # of two of a name the first counts
+            at = {name: row for row, name in reversed(list(enumerate(frame.names)))}
             pairs = [(row, at[name]) for row, name in enumerate(self.names) if name in at]
             self._plan = frame.names, *np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         _, all_rows, all_sources = self._plan
@@ -91,7 +92,7 @@ class GivenPoses:
         self.stamps_s[rows], self.residual_m[rows] = frame.stamps_s[sources], frame.residuals_m[sources]
         self.measured[0, rows], self._covariances[rows] = frame.positions_m[sources], frame.covariances[sources]
         self.rotation[rows] = Rotation.from_quat(frame.quats_xyzw[sources]).as_matrix()
-        _fill_angles(self.rotation, self.flags[0], self.measured[1])
+        _fill_angles(self.rotation, self.flags[0] & self._has_attitude, self.measured[1])
 
 
 @compiled

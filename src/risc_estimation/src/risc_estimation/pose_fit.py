@@ -33,7 +33,7 @@ from risc_estimation.body_fit import (
     fit_some_markers,
     is_steady,
 )
-from risc_estimation.identity import PATH, contradict, foresee, go_on, is_known
+from risc_estimation.identity import PATH, contradict, foresee, go_on, is_known, marker_noise_m
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 from risc_estimation.rigid_fit import MIN_MARKERS
 from risc_lab.compiled import compiled, record, with_row
@@ -154,7 +154,8 @@ class _Bodies(NamedTuple):
 
     table: np.ndarray  # (bodies,) BODY
     templates_m: np.ndarray  # (bodies, most markers, 3)
-    newest: np.ndarray  # (bodies, most markers, 4): its coordinates in the newest frame [m], in how many before it, too
+    # (bodies, most markers, 4): its coordinates when it was seen last [m], in how many frames before that, too
+    newest: np.ndarray
     used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
     flags: np.ndarray  # (2, bodies) bool: present, inside
     measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
@@ -178,9 +179,8 @@ class _Scratch(NamedTuple):
     found: np.ndarray  # (n,) int, see `find_markers`
     found_m: np.ndarray  # (n, 3)
     residuals_m: np.ndarray  # (n + 1,), see `PoseFitParams`
-    costs_m: (
-        np.ndarray
-    )  # (bodies, bodies): how far from where one has to be the markers of another have it; inf: no fit
+    # (bodies, bodies): how far from where one has to be the markers of another have it; infinite: they do not fit
+    costs_m: np.ndarray
 
 
 NOTHING = np.zeros((0, 3))
@@ -189,7 +189,8 @@ NOTHING = np.zeros((0, 3))
 class Poses:
     """Raw poses of the newest frame, a row a body. Cortex frame, SI units. Valid until the next frame: copy what stays.
 
-    A body whose markers were not believed is not present; it keeps the numbers, and the stamp, of its last pose that
+    A body whose markers were not believed is not present (for a filter with a gate of its own, one that has jumped is,
+    too); it keeps the numbers, and the stamp, of its last pose that
     was. Bodies join at the end, when they are first seen. `flags` (2, n) is `present` and `inside`, `measured` (2, n,
     3) `position_m` and `angles_rad`: for compiled code, where every array that is passed costs time.
     """
@@ -440,18 +441,12 @@ def _fit_frame(
             if body.place != i:
                 _take_back(bodies, i, stamp_s, fixed[0].fit.reach)
         if body.moved or not again:
-            markers, mine, path, place = (
-                _named(table[body.place], markers_m),
-                used[i, : body.markers],
-                paths[i],
-                measured[:, i],
-            )
-            body.doubt = _locate(
-                body, templates_m[i], markers, newest[i], mine, place, path, residuals_m, stamp_s, fixed[0]
-            )
+            markers, template, mine = _named(table[body.place], markers_m), templates_m[i], used[i, : body.markers]
+            old, place, path = newest[i], measured[:, i], paths[i]
+            body.doubt = _locate(body, template, markers, old, mine, place, path, residuals_m, stamp_s, fixed[0])
             if body.doubt != NONE:
                 body.doubt = _recover(
-                    body, templates_m[i], markers, loose_m, mine, place, path, scratch, stamp_s, fixed[0]
+                    body, template, markers, loose_m, old, mine, place, path, scratch, stamp_s, fixed[0]
                 )
         doubtful = doubtful or body.doubt != NONE and body.known
     if doubtful and not again and _compare(bodies, stamp_s, markers_m, fixed[0], scratch):
@@ -492,16 +487,22 @@ def see_markers(markers, gates, visible):
 def _leave_frozen(newest, markers, gates, used):
     """Take those out of used (n,) bool that stand still; returns how many. newest: (>= n, 4) of _Bodies."""
     count = 0
-    for i in range(min(len(used), len(markers))):
-        same = True
-        for axis in range(3):
-            same = same and newest[i, axis] == markers[i, axis]
-            newest[i, axis] = markers[i, axis]
-        newest[i, 3] = newest[i, 3] + 1.0 if same else 0.0
-        if used[i] and newest[i, 3] + 1.0 >= gates.frozen_frames:
+    for i in range(len(used)):
+        if used[i] and _is_frozen(newest[i], markers[i], gates):
             used[i] = False
             count += 1
     return count
+
+
+@compiled
+def _is_frozen(newest, marker, gates):
+    """Note where a marker (3,) is [m], with a label or without; whether it stands still. newest: (4,) of _Bodies."""
+    same = True
+    for axis in range(3):
+        same = same and newest[axis] == marker[axis]
+        newest[axis] = marker[axis]
+    newest[3] = newest[3] + 1.0 if same else 0.0
+    return newest[3] + 1.0 >= gates.frozen_frames
 
 
 # Arrays have counts of references: to pass all of them on for each body would take as long as its fit.
@@ -527,20 +528,24 @@ def _locate(body, template, markers, newest, used, measured, paths, residuals_m,
 
 
 @compiled
-def _recover(body, template, markers, loose_m, used, measured, paths, scratch, stamp_s, fixed):
+def _recover(body, template, markers, loose_m, newest, used, measured, paths, scratch, stamp_s, fixed):
     """The same of a body where `_locate` had a doubt, from other markers or from some of them."""
     refusals, fit, residuals_m, count = fixed.refusals, fixed.fit, scratch.residuals_m, _count(used)
     if body.known:
         seen, found, found_m = scratch.seen[: body.markers], scratch.found, scratch.found_m
         seen[:] = used
-        some = find_markers(
-            template, body.apart_m, markers, seen, loose_m, fixed.gates.marker_m, fit, found_m, used, found
-        )
+        some, labelled = 0, min(len(markers), len(seen))
+        find_markers(template, body.apart_m, markers, seen, loose_m, fixed.gates.marker_m, fit, found_m, used, found)
+        for k in range(len(used)):
+            if used[k] and found[k] >= labelled and _is_frozen(newest[k], found_m[k], fixed.gates):
+                used[k] = False
+                refusals.markers_frozen += 1
+            some += used[k]
         if (
             some >= MIN_MARKERS
             and fit_some_markers(template, found_m, used, residuals_m, body.has_attitude, True, fit) == NONE
         ):
-            own, swapped, filled = _own_of(found, used, min(len(markers), len(seen)))
+            own, swapped, filled = _own_of(found, used, labelled)
             if own == count or is_steady(fit.pose, body.has_attitude, fit.reach):
                 refusals.markers_left_out += count - own
                 refusals.swaps_mended += swapped
@@ -648,18 +653,45 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
         if body.doubt == NONE or not body.known:
             continue
         foresee(bodies.paths[i], stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
+        near_m, ahead = _extent_m(template, body.markers), fit.ahead
+        near_m += ahead.off_m + 2.0 * marker_noise_m(ahead, fit.reach)
         tried, seen = scratch.tried[: body.markers], scratch.seen[: body.markers]
         for j in range(len(bodies.table)):
             if j == i or bodies.table[j].doubt == NONE and bodies.table[j].known:
                 continue
             markers = _named(bodies.table[bodies.table[j].place], markers_m)
-            if see_markers(markers, fixed.gates, seen) < MIN_MARKERS:
+            see_markers(markers, fixed.gates, seen)
+            # a pose that is possible has its markers so near; to fit all pairs of a large fleet would take too long
+            if _count_near(markers, seen, ahead.position_m, near_m) < MIN_MARKERS:
                 continue
             tried[:] = seen
             doubt = fit_some_markers(template, markers, tried, scratch.residuals_m, body.has_attitude, True, fit)
             if doubt == NONE:
                 scratch.costs_m[i, j], some = apart_m(template, body.markers, fit.pose, fit.ahead), True
     return some
+
+
+@compiled
+def _extent_m(template, count):
+    """How far the farthest of so many markers is from the origin of a template [m]."""
+    square = 0.0
+    for k in range(count):
+        square = max(square, template[k, 0] ** 2 + template[k, 1] ** 2 + template[k, 2] ** 2)
+    return math.sqrt(square)
+
+
+@compiled
+def _count_near(markers, seen, place_m, near_m):
+    """How many of the markers that are seen are no farther than this from a place (3,) [m]."""
+    count = 0
+    for k in range(len(seen)):
+        if seen[k]:
+            square = 0.0
+            for axis in range(3):
+                square += (markers[k, axis] - place_m[axis]) ** 2
+            if square <= near_m * near_m:
+                count += 1
+    return count
 
 
 @compiled

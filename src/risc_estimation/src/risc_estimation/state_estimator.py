@@ -17,7 +17,7 @@ from risc_estimation.filters import make_filter
 from risc_estimation.given_poses import GivenPoses
 from risc_estimation.pose_fit import NOTHING, PoseFit
 from risc_lab.clock import ClockGuard, Step
-from risc_lab.lab.templates import LANDMARK
+from risc_lab.lab.templates import LANDMARK, VEHICLE
 
 _LATE = 128  # frames
 
@@ -254,7 +254,7 @@ class PosesEstimator(_Estimator):
         self._unknown_here = [name for name in names if name not in self._bodies]
         for name in names:
             if name in self._bodies and name not in self.names:
-                self.poses.add(name)
+                self.poses.add(name, self._bodies[name].kind == VEHICLE)
                 self._filter.add_body(self._bodies[name], self._types.get(name))
 
 

@@ -322,7 +322,10 @@ class World:
 
     def _change_plant(self, i, values):
         vehicle = self._vehicles[i]
-        vehicle.plant = replace(vehicle.plant, **values)
+        plant = replace(vehicle.plant, **values)
+        if self._gusts:
+            self._gusts.std_m_s(plant)  # raises for one that no air moves, before anything has changed
+        vehicle.plant = plant
         for kind in self._kinds:
             for c in np.flatnonzero(kind.columns == i).tolist():
                 fill_records(kind.records[c : c + 1], [vehicle.plant])

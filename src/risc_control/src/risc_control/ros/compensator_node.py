@@ -12,9 +12,8 @@ import numpy as np
 import rospy
 
 from risc_control.lag_compensator import LagCompensator
-from risc_control.ros.conversions import StatesMessage, StatesReader
+from risc_control.ros.conversions import StatesMessage, StatesReader, note_commands
 from risc_lab.clock import ClockGuard, Step
-from risc_lab.command_history import command_of
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
@@ -67,13 +66,8 @@ class CompensatorNode:
     @until_shutdown
     def _on_commands(self, message):
         with self._lock:
-            now_s = ros_time_s()
-            for command in message.commands:
-                i, sent_s = self._index.get(command.name), command.sent.to_sec()
-                # by a clock that differs by more than that of a state may, nothing is known
-                if i is not None and abs(now_s - sent_s) <= self._timeout_s:
-                    self._compensator.sent.append(i, sent_s, command_of(command))
-                    self._counts["commands"] += 1
+            noted = note_commands(message, self._index, self._compensator.sent, self._timeout_s)
+            self._counts["commands"] += noted
 
     @until_shutdown
     def _on_states(self, message):
@@ -97,7 +91,7 @@ class CompensatorNode:
             status,
             (rates["states"] == 0.0, 1, "no states on " + self._topic),
             (rates["late"] > 0.0, 1, "states are too old to be predicted"),
-            (rates["commands"] == 0.0, 1, "nobody says what vehicles are sent: states are as they came"),
+            (rates["commands"] == 0.0, 1, "no /commands_sent: states are passed on as they came"),
             (True, 0, "looking ahead"),
         )
         add_all(status, {"%s (Hz)" % what: "%.1f" % rate for what, rate in rates.items()})

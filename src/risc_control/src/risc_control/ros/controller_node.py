@@ -13,10 +13,9 @@ from std_msgs.msg import Bool, UInt8
 
 from risc_control.controllers import ControlLoop, default_params, descriptions, own_params
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
-from risc_control.ros.conversions import ControlsMessage, StatesReader
+from risc_control.ros.conversions import ControlsMessage, StatesReader, note_commands
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
-from risc_lab.command_history import command_of
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS
 from risc_lab.ros import low_latency
@@ -141,12 +140,7 @@ class ControllerNode:
 
     def _on_commands_sent(self, message):
         with self._lock:
-            now_s = ros_time_s()
-            for command in message.commands:
-                i, sent_s = self._index.get(command.name), command.sent.to_sec()
-                # by a clock that differs by more than that of a state may, nothing is known
-                if i is not None and abs(now_s - sent_s) <= self._state_timeout_s:
-                    self._loop.sent.append(i, sent_s, command_of(command))
+            note_commands(message, self._index, self._loop.sent, self._state_timeout_s)
 
     def _on_status(self, message, i):
         self._autonomous[i] = message.data

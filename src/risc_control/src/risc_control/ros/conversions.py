@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 
+from risc_lab.command_history import command_of
 from risc_lab.compiled import compiled
+from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.states import S, States
 from risc_maap_msgs.msg import CommandSent, TrajectoryDerivatives
@@ -58,6 +60,20 @@ def _pick_states(degrees, seen, rows, visible, x):
         visible[i] = row >= 0 and seen[row] and math.isfinite(total)
         if not visible[i]:
             x[i] = 0.0
+
+
+def note_commands(message, index, history, tolerance_s):
+    """Note a CommandsSent in a CommandHistory. Returns how many of its commands were noted.
+
+    index: {name of a vehicle: its row}.  tolerance_s: by a clock that differs from ours by more, nothing is known.
+    """
+    now_s, noted = ros_time_s(), 0
+    for command in message.commands:
+        i, sent_s = index.get(command.name), command.sent.to_sec()
+        if i is not None and abs(now_s - sent_s) <= tolerance_s:
+            history.append(i, sent_s, command_of(command))
+            noted += 1
+    return noted
 
 
 class StatesMessage:

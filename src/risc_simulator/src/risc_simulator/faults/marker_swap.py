@@ -1,4 +1,5 @@
-"""Two markers of the body have each other's label; which ones, it keeps. In each frame with this probability."""
+"""Two markers of the body have each other's label, in each frame with this probability. Which ones: the same for all
+bodies with so many markers; always, or where it is no certainty until a frame without."""
 
 from risc_simulator.faults._frames import changed
 
