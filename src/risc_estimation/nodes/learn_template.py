@@ -55,7 +55,8 @@ class Recording:
         """(frames, n, 3) [m], once it is over. Raises ValueError."""
         counts = sorted({len(sample) for sample in self._samples_m})
         if len(counts) > 1:
-            raise ValueError("'%s' has %s markers, by turns" % (self._name, " or ".join(map(str, counts))))
+            text = "the number of markers of '%s' changes (%s): learn it with one body of that name"
+            raise ValueError(text % (self._name, " or ".join(map(str, counts))))
         return np.array(self._samples_m)
 
 

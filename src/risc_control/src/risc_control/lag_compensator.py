@@ -16,7 +16,7 @@ _KNOWN_S = 0.5  # a vehicle that was sent nothing for so long is not flown by co
 
 
 class LagCompensator:
-    """Of n vehicles. `sent`: CommandHistory that whoever hears the commands fills; `delay_s` (n,): see `plants`."""
+    """Of n vehicles. `sent`: CommandHistory, for the caller to fill; `delay_s` (n,) [s]: see `plants`."""
 
     def __init__(self, vehicle_types):
         """vehicle_types: VehicleType of each. Raises ValueError when the delay of one cannot be predicted."""
@@ -29,7 +29,7 @@ class LagCompensator:
     def ahead(self, stamp_s, now_s, states):
         """States of the visible vehicles when a command that is sent at now_s takes effect. states: States of stamp_s.
 
-        Who was sent nothing lately is where he was seen. Raises ValueError when that is too far ahead to be predicted.
+        One that was sent nothing lately stays where it was seen. Raises ValueError when that is too far ahead to be predicted.
         """
         age_s = max(0.0, now_s - stamp_s)
         if not age_s + self.delay_s.max() <= MAX_HORIZON_S:

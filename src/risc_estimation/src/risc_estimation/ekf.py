@@ -119,13 +119,13 @@ def predict(track, stamp_s, model, sent, work):
 
 @compiled
 def _is_free(x, time_s, k, model, sent):
-    """Whether nobody knows what moves a body. time_s: when a command is sent that is in force now; k: of that one."""
+    """Whether a body moves in an unknown way. time_s: when a command is sent that is in force now; k: of that one."""
     return not model.follows or not time_s - sent.times_s[k % ROWS] < _KNOWN_S or x[S.Z] < AIRBORNE_M
 
 
 @compiled
 def acceleration(track, model, sent, work, out):
-    """Fill out (3,) with the acceleration at a TRACK [m/s^2] by `slope`, cortex axes; NaN where nobody knows it."""
+    """Fill out (3,) with the acceleration at a TRACK [m/s^2] by `slope`, cortex axes; NaN where it is not known."""
     time_s = track.stamp_s - model.delay_s
     k = last_by(sent, time_s, sent.newest)
     free = _is_free(track.x, time_s, k, model, sent)

@@ -13,7 +13,7 @@ track leads, but for
 A pose that is farther off contradicts. It begins a candidate. Later poses that go on from there contradict, too, also
 when the reach has grown so far: for them it grows for `_GROW_S` only. When the candidate is as old as the track was, or
 after memory_s, it takes the place of the track. The track that was replaced is remembered: a pose that agrees with it
-is where the body was all the time. Nothing contradicts a track that is older than memory_s: nobody is locked out for
+is where the body was all the time. Nothing contradicts a track that is older than memory_s: no body is locked out for
 longer.
 """
 

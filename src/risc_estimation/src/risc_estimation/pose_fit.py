@@ -6,7 +6,7 @@ pose is made of is chosen in `body_fit`. The second stage is a filter, see risc_
 
 Bodies that contradict where they were are compared with each other's markers, all of a frame at once: each gets the
 markers that fit where it has to be. It keeps them while it is seen, whatever their name is. A body that is not known
-has those of its name again, as soon as nobody has them.
+has those of its name again, as soon as no other body has them.
 """
 
 import math
@@ -631,7 +631,7 @@ def _keep(body, measured, stamp_s, pose):
 
 @compiled
 def _take_back(bodies, i, stamp_s, reach):
-    """A body that is not known has the markers of its name again, if nobody has them who is."""
+    """A body that is not known has the markers of its name again, unless a known one has them."""
     if is_known(bodies.paths[i], stamp_s, reach):
         return
     for j in range(len(bodies.table)):

@@ -32,7 +32,7 @@ class CompensatorParams(Settings):
     """Of the node; which vehicles and of which types: as of the controllers."""
 
     states_topic: Name = "/cortex_raw"  # or /cortex_ekf
-    state_timeout: between(0.0, 0.2) = 0.2  # [s] older states are not predicted: nobody is visible
+    state_timeout: between(0.0, 0.2) = 0.2  # [s] older states are not predicted: no vehicle is visible
 
 
 class CompensatorNode:
