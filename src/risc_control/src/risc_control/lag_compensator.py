@@ -29,7 +29,8 @@ class LagCompensator:
     def ahead(self, stamp_s, now_s, states):
         """States of the visible vehicles when a command that is sent at now_s takes effect. states: States of stamp_s.
 
-        One that was sent nothing lately stays where it was seen. Raises ValueError when that is too far ahead to be predicted.
+        One that was sent nothing lately stays where it was seen. Raises ValueError when that is too far ahead to be
+        predicted.
         """
         age_s = max(0.0, now_s - stamp_s)
         if not age_s + self.delay_s.max() <= MAX_HORIZON_S:
