@@ -22,7 +22,7 @@ from risc_visual.vision.checkerboard import calibrate as calibration_of_views
 
 CALIBRATE = pathlib.Path(__file__).resolve().parents[1] / "src/risc_visual/nodes/calibrate.py"
 # the first is as any camera, the second distorts strongly
-CAMERAS = ["risc2", "risc3"]
+CAMERAS = ["risc2", pytest.param("risc3", marks=pytest.mark.release)]
 CAMERAS += [
     pytest.param(name, marks=pytest.mark.release)
     for name in ("risc1", "albatross_ardrone_front", "ardrone_front", "ardrone_bottom")

@@ -3,8 +3,10 @@
 import json
 
 import estimation as bench
+import pytest
 
 
+@pytest.mark.release
 def test_bench_writes_its_tables(tmp_path, capsys):
     assert bench.main(["--vehicles", "1", "2", "--json", str(tmp_path / "bench.json")]) == 0
     figures = json.loads((tmp_path / "bench.json").read_text(encoding="utf-8"))

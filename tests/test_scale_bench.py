@@ -24,6 +24,7 @@ KEYS = {
 }
 
 
+@pytest.mark.release
 def test_rows_as_bench_writes_them(tmp_path, monkeypatch, capfd):
     what, command = run.BENCHMARKS["scale"]
     short = command + ["--kinds", "offline", "--vehicles", "1", "2", "3", "--seconds", "1", "--load", "quiet"]

@@ -11,7 +11,7 @@ from risc_control.h2_limit import gust_limit_m
 from risc_experiments.offline import Flight, RunningFlight, fly
 from risc_lab.lab import load_templates
 
-SHORT = ["--seeds", "1", "--duration", "6"]
+SHORT = ["--seeds", "1", "--duration", "3"]
 KEYS = {"course", "rmse_median_m", "rmse_worst_m", "limit_m"}
 
 

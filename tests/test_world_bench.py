@@ -8,6 +8,7 @@ import world as bench
 from risc_simulator.models.flight import FlightPhase, Setpoint
 
 
+@pytest.mark.release
 def test_row_and_file(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "COUNTS", (1, 3))
     monkeypatch.setattr(bench, "REPEATS", 1)

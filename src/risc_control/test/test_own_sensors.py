@@ -89,9 +89,14 @@ def are_not_numbers(desk):
     desk.sensors.heard = lambda *arguments: [status._replace(**odd) for status in tells(*arguments)]
 
 
+@pytest.fixture(scope="module")
+def none_m():
+    return drifts_m(reports=False)
+
+
 @pytest.mark.parametrize("happens", [are_late, are_stuck, are_not_numbers])
-def test_reports_of_no_use_do_no_harm(happens):
-    useless_m, none_m = drifts_m(happens), drifts_m(reports=False)
+def test_reports_of_no_use_do_no_harm(happens, none_m):
+    useless_m = drifts_m(happens)
     assert (np.median(useless_m, axis=1) < np.median(none_m, axis=1) + 0.01).all()
     assert (useless_m < none_m + 0.04).all()
 

@@ -18,7 +18,7 @@ def farthest_m(type_name, courses, seeds, **options):
 
 @pytest.mark.parametrize("type_name", ["ardrone", "iris"])
 def test_it_stops_where_it_is(type_name):
-    several = type_name, ("circle", "knot"), (1, 2)
+    several = type_name, ("circle", "knot"), (1,)
     assert farthest_m(*several) < MOST_M
     # the control arm: level, and what the vehicle does by itself
     assert farthest_m(*several, node={"hold_brakes": False}) > MOST_M
@@ -26,7 +26,7 @@ def test_it_stops_where_it_is(type_name):
 
 def test_a_floor_without_texture():
     """Nobody sees the error of its level: 0.3 degrees are 0.1 m more in 2 s."""
-    several, bare = ("ardrone", ("circle",), (1, 2, 3)), (parse_fault("bare_floor:inf"),)
+    several, bare = ("ardrone", ("circle",), (1, 2)), (parse_fault("bare_floor:inf"),)
     assert farthest_m(*several, faults=bare, node={"hold_auto_hover": False}) < MOST_M + 0.1
     # the control arm: it believes that its bottom camera sees
     assert farthest_m(*several, faults=bare, node={"hold_brakes": False}) > 2.0 * MOST_M

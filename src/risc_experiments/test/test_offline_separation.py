@@ -4,6 +4,7 @@ import math
 import pathlib
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,19 +25,20 @@ from risc_simulator.faults import parse_fault
 LIMITS = SafetyLimits()
 OFF = {"separation_m": 0.0}
 CONTACT_M = 0.5
+more = partial(pytest.param, marks=pytest.mark.release)
 MULTI_MACHINE = pathlib.Path(__file__).parents[3] / "launch/Multi_Machine_Experiment.launch"
 
 
 @pytest.mark.parametrize(
     ("course", "vehicles", "what", "seed", "limit_m"),
     [
-        ("circle", 5, "state", 1, LIMITS.separation_m),
         ("circle", 5, "state", 3, LIMITS.separation_m),
-        ("circle", 5, "controls", 3, LIMITS.separation_m),
         ("circles3", 3, "laptop", 13, LIMITS.separation_m),
+        more("circle", 5, "state", 1, LIMITS.separation_m),
+        more("circle", 5, "controls", 3, LIMITS.separation_m),
         # it drifts for a second by its last command, wherever the others are: of thirty seeds one collides
-        ("circles3", 3, "laptop", 14, CONTACT_M),
-        ("circles3", 3, "laptop", 19, CONTACT_M),
+        more("circles3", 3, "laptop", 14, CONTACT_M),
+        more("circles3", 3, "laptop", 19, CONTACT_M),
     ],
 )
 def test_nobody_flies_into_one_that_stops(course, vehicles, what, seed, limit_m):
@@ -68,7 +70,7 @@ IRIS_M = load_vehicle_type("iris").wider_m
     ("types", "what", "seed", "limit_m"),
     [
         (("iris",) * 3, "controls", 4, LIMITS.separation_m + 2.0 * IRIS_M),
-        (("iris", "ardrone", "ardrone"), "controls", 9, LIMITS.separation_m + IRIS_M),
+        more(("iris", "ardrone", "ardrone"), "controls", 9, LIMITS.separation_m + IRIS_M),
     ],
 )
 def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):
@@ -82,9 +84,7 @@ def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit
     assert fly(stops).closest_m < limit_m
 
 
-@pytest.mark.parametrize(
-    "seed", [9, *(pytest.param(seed, marks=pytest.mark.release) for seed in range(1, 14) if seed != 9)]
-)
+@pytest.mark.parametrize("seed", [9, *(more(seed) for seed in range(1, 14) if seed != 9)])
 def test_wide_vehicles_stop_as_soon_as_one_of_them_does(seed, monkeypatch):
     stops = Flight(
         "knot", vehicles=3, seed=seed, types=("iris",) * 3, duration_s=8.0, loss=Loss(seed % 3, "controls", 1.0)
@@ -100,7 +100,7 @@ FIVE = ("controls", 1), ("state", 5)  # collide when nodes say nothing
 MORE = [(what, seed) for what in ("controls", "state") for seed in range(1, 16) if (what, seed) not in FIVE]
 
 
-@pytest.mark.parametrize(("what", "seed"), [*FIVE, *(pytest.param(*one, marks=pytest.mark.release) for one in MORE)])
+@pytest.mark.parametrize(("what", "seed"), [FIVE[0], more(*FIVE[1]), *(more(*one) for one in MORE)])
 def test_five_on_a_circle_stop_as_soon_as_one_of_them_does(what, seed, monkeypatch):
     stops = Flight("circle", vehicles=5, seed=seed, duration_s=18.0, loss=Loss(seed % 5, what, 1.0))
     result = fly(stops)
@@ -121,12 +121,12 @@ def test_on_the_course_of_the_multi_machine_launch_the_others_fly_on(what, vehic
     assert max(rmse for i, rmse in enumerate(result.rmse_m) if i != vehicle) < 0.02
 
 
-def test_no_course_makes_anybody_hold():
-    """From take-over to the course and on it, each for three numbers of vehicles, seeds and headings."""
+@pytest.mark.parametrize(("seed", "vehicles", "psi_deg"), [(2, 4, 140.0), more(1, 3, None), more(3, 5, 210.0)])
+def test_no_course_makes_anybody_hold(seed, vehicles, psi_deg):
+    """From take-over to the course and on it."""
     flights = [
         Flight(name, vehicles=vehicles, seed=seed, psi_deg=psi_deg, duration_s=8.0)
         for name in COURSES
-        for seed, vehicles, psi_deg in ((1, 3, None), (2, 4, 140.0), (3, 5, 210.0))
         if not (name == "quadrants" and vehicles > 4)
     ]
     for flight, result in zip(flights, fly_all(flights)):

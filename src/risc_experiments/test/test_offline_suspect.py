@@ -19,6 +19,7 @@ from risc_simulator.models.mocap_cameras import MocapCameras
 
 FLIGHT = Flight("circle", vehicles=2, seed=3, duration_s=4.0)
 LIES_S = 6.0, 9.0  # from, until
+more = partial(pytest.param, marks=pytest.mark.release)
 
 
 class LyingCameras(MocapCameras):
@@ -65,11 +66,11 @@ def believe_all(monkeypatch, **params):
     ("lie", "words", "kind"),
     [
         (flip, "yaw", "ardrone"),
-        (flip, "yaw", "iris"),
-        (exchange, "exchanged their names", "ardrone"),
         (exchange, "exchanged their names", "iris"),
         (freeze, "ms old", "ardrone"),
-        (freeze, "ms old", "iris"),
+        more(flip, "yaw", "iris"),
+        more(exchange, "exchanged their names", "ardrone"),
+        more(freeze, "ms old", "iris"),
     ],
 )
 def test_a_lie_that_lasts_lands_the_vehicle(lie, words, kind, monkeypatch):
@@ -98,8 +99,10 @@ def test_a_short_one_is_held_through(lie, monkeypatch):
     assert any("hold" in text for _, _, text in result.safety) and result.safety[-1][2] == "ok"
 
 
-@pytest.mark.parametrize("estimator", ["least_squares", "thesis"])
-@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+@pytest.mark.parametrize(
+    ("kind", "estimator"),
+    [("ardrone", "least_squares"), ("iris", "thesis"), more("ardrone", "thesis"), more("iris", "least_squares")],
+)
 def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
     """With gusts and a third of the frames lost."""
     looks = []
@@ -117,7 +120,7 @@ def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
     assert len(looks) > 1000 and all(looks)
 
 
-@pytest.mark.parametrize(("lasts_s", "seed"), [(0.25, 2), (0.4, 1), (0.4, 4)])
+@pytest.mark.parametrize(("lasts_s", "seed"), [(0.4, 1), more(0.25, 2), more(0.4, 4)])
 def test_a_velocity_made_of_false_places_is_not_flown_on(lasts_s, seed):
     """A window still holds places of a short jump when the next ones agree: braked by such a velocity, a vehicle slid
     into its neighbour.

@@ -34,6 +34,7 @@ from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.transitions import WayLimits
 from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_estimation.filters import COMMAND, make_filter
+from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
@@ -574,6 +575,8 @@ def _compile():
 
     fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
     fly(Flight(vehicles=1, gusts=True, duration_s=0.5, types=("iris",)))
+    for name in ESTIMATORS.names():
+        fly(Flight(vehicles=1, duration_s=0.1, estimator=name))
     for name in CONTROLLERS.names():
         ControlLoop(name, [load_vehicle_type("ardrone")])
     FrameEncoder((("body", 1),))  # the virtual lab's
