@@ -154,6 +154,13 @@ def test_an_interrupted_run_goes_on_and_another_one_begins_anew(tmp_path):
         flights.Record(tmp_path, {"code": "b", "settings": 1})
 
 
+def test_more_minutes_are_no_other_scorecard_and_shorter_flights_are():
+    few, many, short = (
+        command.identity_of(plan(CELL, **values)) for values in ({}, {"minutes": 9.0}, {"flight_s": 30.0})
+    )
+    assert few == many != short
+
+
 def test_minutes_of_single_vehicles_are_those_that_they_are_up():
     times_s = 0.02 * np.arange(500)
     actual_m = np.full((500, 2, 3), 1.0)

@@ -125,10 +125,12 @@ def _check(names, known, what, kind):
 
 
 def identity_of(plan):
-    """What a file of flights is of: flights of another identity are no part of the same scorecard."""
-    files = {cell.fault: load_faults(cell.fault) for cell in plan.cells if is_file(cell.fault)}
+    """What a file of flights is of: flights of another identity are no part of the same scorecard. It may be flown for
+    more minutes.
+    """
+    files = {cell.fault: repr(load_faults(cell.fault)) for cell in plan.cells if is_file(cell.fault)}
     identity = {
-        "command_line": plan._replace(params=None)._asdict() | {"files": {name: repr(files[name]) for name in files}},
+        "command_line": plan._replace(params=None, minutes=None)._asdict() | {"files": files},
         "settings": asdict(plan.params),
         "code": code_version(),
     }
