@@ -35,6 +35,7 @@ def test_vehicles_move_and_stay_in_the_net_for_the_longest_run(kind):
         assert abs(vehicle.state.position_m - place_m).max() > 0.01
 
 
+@pytest.mark.release
 def test_irises_are_flown_in_the_whole_lab():
     row = bench.measure_lab(2, "iris", take_off_s=8.0, measured_s=0.5)
     assert row["lab_flying"] == 2 and row["lab_cores"] > 0.0

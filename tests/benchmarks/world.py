@@ -38,7 +38,7 @@ LAB_TAKE_OFF_S, LAB_MEASURED_S = 6.0, 5.0
 REQUIRED_TIMES_REAL_TIME = {1: 200.0}
 TYPES = "ardrone", "iris"
 _COMMANDS_HZ = {"ardrone": 30.0, "iris": 45.0}
-_CLIMB_S = 1.5  # of an IRIS+ by the stick of ALT_HOLD
+_ARMED_AFTER_S, _CLIMB_S = 2.0, 1.5  # an IRIS+, with its throttle at the lowest; by the stick of ALT_HOLD
 
 
 def make_fleet(count, kind="ardrone"):
@@ -197,7 +197,7 @@ def _pilot_irises(fleet):
             clients.append((vehicle, line, telemetry, mavlink.MAVLink(None, 255, 190)))
         start_s, k = time.monotonic(), 0
         while True:
-            flown_s = k / _COMMANDS_HZ["iris"] - 1.0
+            flown_s = k / _COMMANDS_HZ["iris"] - _ARMED_AFTER_S
             swing = 2.0 * math.pi * flown_s
             throttle = -1.0 if flown_s < 0.0 else 0.6 if flown_s < _CLIMB_S else 0.0
             sticks = struct.pack("<4d", 0.1 * math.cos(swing), 0.1 * math.sin(swing), 0.0, throttle)
@@ -213,7 +213,7 @@ def _pilot_irises(fleet):
                         mavlink.MAVLink_request_data_stream_message(system, 1, 0, 10, 1),
                         mavlink.MAVLink_set_mode_message(system, 1, Mode.ALT_HOLD),
                     )
-                elif k == 40:
+                elif k % 10 == 0 and 0.5 < k / _COMMANDS_HZ["iris"] < _ARMED_AFTER_S - 0.2:  # it may not be ready yet
                     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
                     orders = (mavlink.MAVLink_command_long_message(system, 1, arm, 0, 1, 0, 0, 0, 0, 0, 0),)
                 for order in orders:
