@@ -61,7 +61,7 @@ def frames_passed_over(path):
 def circles(tmp_path_factory):
     """The default experiment, shorter: (exit code, output, summary, folder)."""
     before = compiled_files()
-    flown = fly(tmp_path_factory.mktemp("flight"), "--duration", "15")
+    flown = fly(tmp_path_factory.mktemp("flight"), "--duration", "10")
     assert before, "no caches there"
     assert compiled_files() == before, "compiled in flight"
     return flown
@@ -84,7 +84,7 @@ def test_three_vehicles_fly_their_circles_and_land(circles):
 def test_summary_has_every_key_of_the_design(circles):
     summary = circles[2]
     assert summary["experiment"] == "circles3" and summary["simulated"]["plant"] == "perturbed"
-    assert summary["duration_s"] > 15.0
+    assert summary["duration_s"] > 10.0
     for figures in summary["vehicles"].values():
         assert {"position_rmse_m", "position_max_m", "settle_s", "lag_s"} <= set(figures)
     for hop, figures in summary["latency_ms"].items():
@@ -133,7 +133,7 @@ def test_nothing_is_left_running(circles):
 
 # What each flies: a heading, also one that the original never flew.
 COURSES = {"interrupted": ("circle", 135.0), "killed": ("slanted8", -70.0)}
-ON_COURSE_S = 6.0
+ON_COURSE_S = 4.0
 
 
 @pytest.fixture(scope="module")
@@ -248,7 +248,7 @@ def test_df_demo_flies_its_figures(tmp_path):
 
 def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
     """Thesis 7.12: cameras, navdata, bearings, regions, inputs, transforms, trajectories, truth, landmarks."""
-    code, output, summary, folder = fly(tmp_path, "coop", "--vehicles", "2", "--duration", "20", "--fps", "8")
+    code, output, summary, folder = fly(tmp_path, "coop", "--vehicles", "2", "--duration", "12", "--fps", "8")
     assert code == 0, output
     bearings = summary["bearings"]["vehicles"]
     assert set(bearings) == {"fluffy_II", "albatross"}

@@ -212,16 +212,11 @@ def test_the_times_on_the_wire_are_the_kernels():
 @pytest.fixture(scope="module")
 def flight(namespaces, tmp_path_factory):
     """The whole graph, up, once around and home."""
-    arguments = ("duration:=8", "record_hz:=1")
-    planned = planned_nodes(*arguments)
 
     def scenario(hosts):
-        hosts.planned = planned
-        hosts.launch(*arguments)
+        hosts.launch("duration:=8")
         hosts.ready_s = hosts.wait_for("operator: phase takeoff")
         hosts.course_s = hosts.wait_for("on course for")
-        hosts.found = {computer: hosts.nodes_on(computer) for computer in COMPUTERS}
-        hosts.groups = hosts.net.run("risc1", ["cat", "/proc/net/igmp"]).stdout
         hosts.wait_for(RESULT + " ok")
         hosts.end(GONE_S)
 
@@ -231,66 +226,16 @@ def flight(namespaces, tmp_path_factory):
     return hosts
 
 
+@pytest.mark.release  # the same launch file, to the end of its course; `outages` ends it otherwise
 def test_one_command_flies_three_vehicles_and_brings_them_home(flight):
     for vehicle in LAPTOP_OF:
         vehicle_ends_landed(flight, vehicle)
 
 
-def test_every_node_runs_on_its_machine(flight):
-    assert flight.found == flight.planned
-
-
-def test_frames_come_by_multicast(flight):
-    membership = "010101E1"  # 225.1.1.1, as the kernel writes it
-    card = flight.groups.split("eth0", 1)[1]
-    assert membership in card
-    with Bag(flight.folder / "flight.bag") as bag:
-        count = bag.topics["/mocap_data"]
-    assert count > 20.0 * RATE_HZ, "frames of at least 20 s"
-
-
-def test_the_radios_lose_what_they_should(flight):
-    measured("radio: %s lost %r", "tc netem" if flight.lossy_kernel else "the virtual lab", flight.lost)
-    assert set(flight.lost) == set(LAPTOP_OF)
-    for vehicle, fraction in flight.lost.items():
-        assert 0.3 * LOSS < fraction < 3.0 * LOSS, vehicle
-
-
+@pytest.mark.release
 def test_ctrl_c_leaves_nothing_on_any_host(flight):
     assert flight.ended_s < END_S
     assert flight.left == {}
-
-
-def test_the_report_shows_the_latency_of_every_host(flight):
-    bag = flight.folder / "flight.bag"
-    done = subprocess.run(
-        [sys.executable, "-m", "data_extraction.report", str(bag), "--out", str(flight.folder)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout
-    page = (flight.folder / "report.html").read_text(encoding="utf-8")
-    rows = [
-        [html.unescape(re.sub("<[^>]+>", "", cell)).strip() for cell in re.findall("<t[dh].*?</t[dh]>", row, re.DOTALL)]
-        for row in re.findall("<tr>.*?</tr>", page, re.DOTALL)
-    ]
-    for vehicle, laptop in LAPTOP_OF.items():
-        (row,) = [row for row in rows if row[:1] + row[2:3] == [vehicle, laptop]]  # the second says on what it is sent
-        p50, p95, p99, largest = (float(cell.split()[0]) for cell in row[3:7])
-        assert 0.0 < p50 <= p95 <= p99 <= largest and int(row[7]) > 200, row
-        measured(
-            "commands of %s by %s: p50 %.1f ms, p95 %.1f ms, p99 %.1f ms, oldest state answered there %s",
-            vehicle,
-            laptop,
-            p50,
-            p95,
-            p99,
-            row[8],
-        )
-    for row in rows:
-        if len(row) == 6 and "ms" in row[1]:
-            measured("%s", " | ".join(row))
 
 
 # ------------------------------------------------------------------ cables and the base station
@@ -304,9 +249,15 @@ def outages(namespaces, tmp_path_factory):
     carrier takes up to a second to come back.
     """
 
+    arguments = ("duration:=60", "record_hz:=1", *APART)
+    planned = planned_nodes(*arguments)
+
     def scenario(hosts):
-        hosts.launch("duration:=60", *APART)
+        hosts.planned = planned
+        hosts.launch(*arguments)
         hosts.wait_for("on course for")
+        hosts.found = {computer: hosts.nodes_on(computer) for computer in COMPUTERS}
+        hosts.groups = hosts.net.run("risc1", ["cat", "/proc/net/igmp"]).stdout
         hosts.cuts = {"risc1": hosts.cut("risc2", 0.2)}
         time.sleep(1.5)
         hosts.net.link("risc4", "down")
@@ -350,6 +301,58 @@ def outages(namespaces, tmp_path_factory):
         test_a_base_station_without_power_lands_what_flies(hosts)
 
     return fly(tmp_path_factory.mktemp("outages"), scenario, checks, forgetful=["risc4"])
+
+
+def test_every_node_runs_on_its_machine(outages):
+    assert outages.found == outages.planned
+
+
+def test_frames_come_by_multicast(outages):
+    membership = "010101E1"  # 225.1.1.1, as the kernel writes it
+    card = outages.groups.split("eth0", 1)[1]
+    assert membership in card
+    with Bag(outages.folder / "flight.bag") as bag:
+        count = bag.topics["/mocap_data"]
+    assert count > 20.0 * RATE_HZ, "frames of at least 20 s"
+
+
+def test_the_radios_lose_what_they_should(outages):
+    measured("radio: %s lost %r", "tc netem" if outages.lossy_kernel else "the virtual lab", outages.lost)
+    assert set(outages.lost) == set(LAPTOP_OF)
+    for vehicle, fraction in outages.lost.items():
+        assert 0.3 * LOSS < fraction < 3.0 * LOSS, vehicle
+
+
+def test_the_report_shows_the_latency_of_every_host(outages):
+    bag = outages.folder / "flight.bag"
+    done = subprocess.run(
+        [sys.executable, "-m", "data_extraction.report", str(bag), "--out", str(outages.folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+    page = (outages.folder / "report.html").read_text(encoding="utf-8")
+    rows = [
+        [html.unescape(re.sub("<[^>]+>", "", cell)).strip() for cell in re.findall("<t[dh].*?</t[dh]>", row, re.DOTALL)]
+        for row in re.findall("<tr>.*?</tr>", page, re.DOTALL)
+    ]
+    for vehicle, laptop in LAPTOP_OF.items():
+        (row,) = [row for row in rows if row[:1] + row[2:3] == [vehicle, laptop]]  # the second says on what it is sent
+        p50, p95, p99, largest = (float(cell.split()[0]) for cell in row[3:7])
+        assert 0.0 < p50 <= p95 <= p99 <= largest and int(row[7]) > 200, row
+        measured(
+            "commands of %s by %s: p50 %.1f ms, p95 %.1f ms, p99 %.1f ms, oldest state answered there %s",
+            vehicle,
+            laptop,
+            p50,
+            p95,
+            p99,
+            row[8],
+        )
+    for row in rows:
+        if len(row) == 6 and "ms" in row[1]:
+            measured("%s", " | ".join(row))
 
 
 def test_a_link_that_is_out_for_02_s_ends_no_flight(outages):

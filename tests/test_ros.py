@@ -24,9 +24,20 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src"
 LAUNCH_FILES.remove(ROOT / "src/risc_lab/launch/refuse.launch")  # never loads, on purpose
 GTESTS = sorted(path for path in (ROOT / "devel" / "lib").glob("*/test_*") if os.access(str(path), os.X_OK))
 ALONE = pytest.mark.alone
-# {test of the second tier: its other marks}. The tuner: risc_visual/transform_tuner. roscopter and serial_node fly
-# in test_iris_flight.py and have tests without a graph; serial_node meets the firmware in rosserial_python/firmware.
-RELEASE = {"risc_experiments/tuner_by_mouse": [ALONE], "roscopter/roscopter": [], "rosserial_python/serial_node": []}
+# {test of the second tier: its other marks}. The tuner: risc_visual/transform_tuner. roscopter, serial_node and what
+# flies an IRIS+ are in test_iris_flight.py, the operator in every flight, landmarks in that of `coop`; all have tests
+# without a graph, and serial_node meets the firmware in rosserial_python/firmware.
+RELEASE = {"risc_experiments/tuner_by_mouse": [ALONE]}
+RELEASE |= dict.fromkeys(
+    (
+        "roscopter/roscopter",
+        "rosserial_python/serial_node",
+        "risc_control/iris_nodes",
+        "risc_experiments/operator",
+        "risc_visual/landmark_nodes",
+    ),
+    [],
+)
 # Arguments for launch files that cannot do without.
 ADDRESSES = {"fleet": str(ROOT / "launch/fleets/ardrones3.yaml"), "ip": "127.77.1.1",
              **{"risc%d_address" % k: "127.0.0.%d" % k for k in (1, 2, 3, 4)}}  # fmt: skip

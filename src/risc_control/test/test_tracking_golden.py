@@ -184,6 +184,7 @@ def test_references_are_as_ever():
     assert (worst < REFERENCE_TOLERANCES).all(), worst
 
 
+@pytest.mark.release
 def test_uncompiled_it_gives_the_same(tmp_path):
     file, seconds = tmp_path / "uncompiled.npz", str(UNCOMPILED_SECONDS)
     environment = dict(os.environ, NUMBA_DISABLE_JIT="1")

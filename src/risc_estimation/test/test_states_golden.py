@@ -82,6 +82,7 @@ def test_landmarks_and_counts_equal_those_of_the_old_estimator():
                 np.testing.assert_allclose(estimate.landmarks_m, expected[k][seen], rtol=0, atol=TOLERANCE)
 
 
+@pytest.mark.release
 def test_uncompiled_gives_the_same(tmp_path):
     file = tmp_path / "uncompiled.npy"
     subprocess.run(

@@ -53,8 +53,8 @@ def run(*arguments, **environment):
 @pytest.mark.parametrize(
     "file, pattern",
     [
-        ("test_world.py", "golden or at_rest"),
-        ("test_members.py", "exchange or own_equations"),
+        pytest.param("test_world.py", "golden or at_rest", marks=pytest.mark.release),
+        pytest.param("test_members.py", "exchange or own_equations", marks=pytest.mark.release),
         ("test_iris_plant.py", "lag or attitude or carry"),
         ("test_mocap_cameras.py", "as_ever"),
         ("../../cortex_ros/test/test_wire.py", "fast_encoder"),
