@@ -4,8 +4,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 FIRST, SECOND = "first tier", "second tier"  # of tests, for hypothesis
-# these begin first where files run side by side: the rostests, and whole flights
-LONGEST = "test_ros.py", "test_ros_of_flights.py", "test_flight.py", "test_many_machines.py"
+LONGEST = "test_ros.py", "test_ros_of_flights.py"  # the rostests; these begin first where files run side by side
 LEFT = pytest.StashKey[int]()  # how many tests are left for --all
 
 # neither an example nor making one up has a limit; the first tier tries the same ones every time

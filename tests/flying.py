@@ -1,14 +1,12 @@
 """Whole flights for tests: started, waited for, ended whatever happens."""
 
 import contextlib
-import fcntl
 import json
 import os
 import pathlib
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
@@ -20,45 +18,6 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 TIMEOUT_S = 400.0  # of a whole flight and its report
 PATIENCE_S = 60.0  # for landing, ending the nodes and the report, after an interrupt
 STALL_LIMIT_MS = 250.0  # half of what the loss ladder waits before it lands
-DOWN = "all vehicles have landed", "failed: "  # what a flight prints when nothing of it is in the air any more
-
-
-class Airspace:
-    """For one test file at a time, while others run beside it: whoever has it may fly. Its reports are made later."""
-
-    def __init__(self):
-        self._change, self._file, self._flights = threading.Lock(), None, 0
-
-    def take(self):
-        """Wait until it is free; nothing when this process has it."""
-        with self._change:
-            if self._file is None:
-                (ROOT / "logs").mkdir(exist_ok=True)
-                self._file = (ROOT / "logs" / "airspace.lock").open("w")
-                fcntl.flock(self._file, fcntl.LOCK_EX)
-
-    def leave(self):
-        """Nothing flies any more."""
-        with self._change:
-            if self._file is not None and not self._flights:
-                self._file.close()
-                self._file = None
-
-    @contextlib.contextmanager
-    def for_a_flight(self):
-        """To be left as soon as this flight is down; with the last one it is free."""
-        self.take()
-        with self._change:
-            self._flights += 1
-        try:
-            yield
-        finally:
-            with self._change:
-                self._flights -= 1
-            self.leave()
-
-
-airspace = Airspace()
 
 
 def start(folder, *arguments, command=(sys.executable,), module="risc_experiments.fly", **options):
@@ -127,25 +86,15 @@ def wait_for_line(process, folder, text, timeout_s=180.0):
         time.sleep(0.2)
 
 
-def wait_until_down(process, folder):
-    """Until a flight has landed, or ended."""
-    deadline = time.monotonic() + TIMEOUT_S
-    while process.poll() is None and not any(text in output_of(folder) for text in DOWN):
-        assert time.monotonic() < deadline, "not down within %g s:\n%s" % (TIMEOUT_S, output_of(folder))
-        time.sleep(0.2)
-
-
 def try_to_fly(folder, *arguments, meanwhile=None, **options):
     """Fly to the end. Returns (exit code, output, summary, folder) of the flight; `judged` looks at it first.
 
     meanwhile: is called with (process, folder) as soon as the flight is under way.
     """
-    with airspace.for_a_flight():
-        process = start(folder, *arguments, **options)
+    process = start(folder, *arguments, **options)
+    if meanwhile is not None:
         try:
-            if meanwhile is not None:
-                meanwhile(process, folder)
-            wait_until_down(process, folder)
+            meanwhile(process, folder)
         except AssertionError:
             end(process, folder)
             raise
@@ -168,7 +117,7 @@ def off_schedule(summary):
 
 
 def judged(flight):
-    """The flight, for the test to look at. Call it when no other flight of this test is under way.
+    """The flight, for the test to look at. Call it when no other flight is under way.
 
     After one that failed off schedule the lab alone tells whose fault it was: if this computer has no time even for
     that, the test is skipped; else our own nodes may be what took the time, and the test fails.
@@ -189,8 +138,7 @@ def lateness_of_the_lab_alone_ms(folder):
     fleet = ROOT / "launch" / "fleets" / "ardrones3.yaml"
     command = [sys.executable, "-m", "risc_simulator.virtual_lab", str(fleet)]
     command += ["--subnet", "127.76", "--live", "--duration", "5", "--stats", str(statistics)]
-    with airspace.for_a_flight():
-        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=120)
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=120)
     assert done.returncode == 0, done.stdout
     return json.loads(statistics.read_text())["late_ms"]["p99"]
 

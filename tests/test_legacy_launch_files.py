@@ -32,7 +32,7 @@ PAGE = ROOT / "docs/legacy_launch_files.md"
 AT_ONCE = 2  # launches: nodes that start wait for the disk, for each other and for roslaunch
 STARTED_S = 300.0  # until a graph is complete, on a computer that does much else
 FLOWN_S = 150.0  # until a flight has ended, the same
-SOME = ("Coop_experiment1", "DF_Demo_sim", "test_DF")  # cameras and bearings; the lab and the plots; an IRIS+
+SOME = ("DF_Demo_sim", "test_DF")  # the lab and the plots; an IRIS+
 FLOWN = "Hows_sim"  # from take-off to landing, which the others are not
 STILL_S = 0.7  # a graph that has not changed for so long is complete
 
