@@ -115,7 +115,7 @@ def test_every_channel_is_what_the_message_says(tmp_path, constants):
         channels[setting["kPitchChannel"] - 1] += setting["kPitchTravelUs"] * theta
         channels[setting["kYawChannel"] - 1] += 500 * psi
         channels[setting["kThrottleChannel"] - 1] = throttle_us
-        return pytest.approx(channels, abs=0.5 / due.TICKS_PER_US + 1e-9)  # half a tick; the issue wants 1 us
+        return pytest.approx(channels, abs=0.5 / due.TICKS_PER_US + 1e-9)  # half a tick, of the 1 us that is allowed
 
     board.run(60_000)
     assert frames_us(board, *shape)[-1][1] == expected(0, 0, 0, 950)

@@ -335,11 +335,11 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog="maap bench gate", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--frames", type=int, default=400_000, metavar="N", help="clean frames, those of each body counted "
-        "(default: 400000; for an issue 10000000)")  # fmt: skip
-    add("--injections", type=int, default=3000, metavar="N", help="false frames of each kind (default: 3000; for an "
-        "issue 100000)")  # fmt: skip
-    add("--outages", type=int, default=1000, metavar="N", help="of a vehicle (default: 1000; for an issue 100000)")
-    add("--seeds", type=int, default=24, metavar="N", help="flights (default: 24; for an issue 200)")
+        "(default: 400000; a long run: 10000000)")  # fmt: skip
+    add("--injections", type=int, default=3000, metavar="N", help="false frames of each kind (default: 3000; a long "
+        "run: 100000)")  # fmt: skip
+    add("--outages", type=int, default=1000, metavar="N", help="of a vehicle (default: 1000; a long run: 100000)")
+    add("--seeds", type=int, default=24, metavar="N", help="flights (default: 24; a long run: 200)")
     add("--gate", choices=("on", "off"), default="on", help="off: every pose that can be fitted is taken")
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     add("--json", type=argparse.FileType("w"), metavar="FILE", help="also write the figures here")

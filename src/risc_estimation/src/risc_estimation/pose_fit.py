@@ -189,10 +189,10 @@ NOTHING = np.zeros((0, 3))
 class Poses:
     """Raw poses of the newest frame, a row a body. Cortex frame, SI units. Valid until the next frame: copy what stays.
 
-    A body whose markers were not believed is not present (for a filter with a gate of its own, one that has jumped is,
-    too); it keeps the numbers, and the stamp, of its last pose that
-    was. Bodies join at the end, when they are first seen. `flags` (2, n) is `present` and `inside`, `measured` (2, n,
-    3) `position_m` and `angles_rad`: for compiled code, where every array that is passed costs time.
+    A body whose markers were not believed is not present (for a filter with a gate of its own, one that has jumped is
+    present); it keeps the numbers, and the stamp, of its last pose that was believed. Bodies join at the end, when they
+    are first seen. `flags` (2, n) is `present` and `inside`, `measured` (2, n, 3) `position_m` and `angles_rad`: for
+    compiled code, where every array that is passed costs time.
     """
 
     def __init__(self, bodies, marker_noise_m):
