@@ -17,8 +17,6 @@ from risc_lab.ros.launching import MARK, marked_processes
 
 ROSTEST_S = 400.0  # more than every time-limit in a .test file
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-# those of these packages, half of the time, are in test_ros_of_flights.py: files run side by side
-OF_FLIGHTS = ("risc_control", "risc_experiments", "risc_visual")
 ROSTESTS = sorted((ROOT / "src").rglob("test/*.test"))
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src").rglob("launch/*.launch"))
 LAUNCH_FILES.remove(ROOT / "src/risc_lab/launch/refuse.launch")  # never loads, on purpose
@@ -54,20 +52,15 @@ def label(path):
     return "%s/%s" % (path.parent.name if path.suffix != ".test" else package_of(path), path.stem)
 
 
-def parameters(of_flights):
-    """Rostests of OF_FLIGHTS, or of the other packages. Those of RELEASE are the second tier's."""
+def parameters():
+    """Rostests. Those of RELEASE are the second tier's."""
     for path in ROSTESTS:
-        if (package_of(path) in OF_FLIGHTS) is of_flights:
-            marks = [pytest.mark.release, *RELEASE[label(path)]] if label(path) in RELEASE else []
-            yield pytest.param(path, id=label(path), marks=marks)
+        marks = [pytest.mark.release, *RELEASE[label(path)]] if label(path) in RELEASE else []
+        yield pytest.param(path, id=label(path), marks=marks)
 
 
-@pytest.mark.parametrize("path", parameters(of_flights=False))
+@pytest.mark.parametrize("path", parameters())
 def test_rostest(path, tmp_path):
-    run_rostest(path, tmp_path)
-
-
-def run_rostest(path, tmp_path):
     identity = uuid.uuid4().hex
     environment = dict(os.environ, ROS_HOME=str(tmp_path), ROS_IP="127.0.0.1", **{MARK: identity})
     output = tmp_path / "out.txt"

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import pdist
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from risc_estimation.body_fit import (
     COLLINEAR,
@@ -94,7 +94,7 @@ class PoseFitParams(Settings):
         limits["cos_tilt_max"] = math.cos(min(self.tilt_max_rad, math.pi))
         limits["left_out_most"] = 2 if on else 1  # two of five leave three, which nearly anything fits without a gate
         reach["noise_m"] = self._sigma_m
-        reach["gate"] = math.sqrt(chi2.isf(self.false_reject_probability, 3)) if on else math.inf
+        reach["gate"] = math.sqrt(chdtri(3, self.false_reject_probability)) if on else math.inf
         reach["memory_s"] = self.memory_s or -1.0  # never
         reach["acceleration_m_s2"], reach["speed_m_s"] = self.acceleration_max_m_s2, self.speed_max_m_s
         reach["angular_rad_s2"] = self.angular_acceleration_max_rad_s2
@@ -111,7 +111,7 @@ class PoseFitParams(Settings):
         largest_m = np.full(most + 1, self.residual_max_m)
         if self.false_reject_probability > 0.0 and self.marker_noise_m > 0.0:
             count = np.arange(MIN_MARKERS, most + 1)
-            squares = chi2.isf(self.false_reject_probability, 3 * count - 6) / count
+            squares = chdtri(3 * count - 6, self.false_reject_probability) / count
             largest_m[count] = np.minimum(self.residual_max_m, self._sigma_m * np.sqrt(squares))
         return largest_m
 

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from risc_estimation.ekf import MODEL, TRACK, WORK, acceleration, correct, innovate, predict
 from risc_estimation.filters import COMMAND, COUNTS, Innovations, Status, VelocityFilter
@@ -75,7 +75,7 @@ class Filter(VelocityFilter):
         super().__init__(params)
         self.late_s = params.late_s
         # a probability of 0 switches the gate off
-        gate = chi2.isf(params.gate_probability, 3) if params.gate_probability > 0.0 else math.inf
+        gate = chdtri(3, params.gate_probability) if params.gate_probability > 0.0 else math.inf
         settings = gate, params.settled_m_s**2, params.coast_s, params.coast_m**2, params.readmit_s, params.remember_s
         self._settings = np.array([settings], SETTINGS)
         self._work, self._counts = np.zeros(1, WORK), np.zeros(0, COUNTS)
