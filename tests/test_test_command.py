@@ -30,6 +30,9 @@ def test_second(number):
 def test_fuzz(inputs):
     assert inputs(5, 50) == %d
 """
+PACKAGE = """<package format="2"><name>toy</name><version>1.0.0</version><description>Toy</description>
+<maintainer email="a@b.eu">A</maintainer><license>BSD</license><buildtool_depend>catkin</buildtool_depend></package>
+"""
 FLAKY = """
 import pathlib
 import pytest
@@ -124,6 +127,31 @@ def first_asked(workspace, *options):
 
 def test_a_wrong_style_ends_it_before_anything_is_built(workspace):
     assert "tests/test_style.py" in first_asked(workspace)
+
+
+def test_a_command_on_its_way_builds_only_what_has_changed(workspace):
+    python = workspace / ".venv/bin/python"
+    python.write_text('#!/bin/sh\ncase "$*" in *--compile*) exit 0 ;; esac\nexec %s "$@"\n' % sys.executable)
+    package = workspace / "src/toy"
+    package.mkdir(parents=True)
+    shutil.copy(str(ROOT / "src/CMakeLists.txt"), str(workspace / "src"))
+    (package / "package.xml").write_text(PACKAGE)
+    (package / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.5)\nproject(toy)\nfind_package(catkin REQUIRED)\ncatkin_package()\n"
+    )
+
+    def has_built(command):
+        log = workspace / "logs/build.log"
+        log.unlink(missing_ok=True)
+        done = subprocess.run([str(workspace / "maap"), *command], capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        return log.exists()
+
+    shell = ("shell", "-c", "true")
+    assert has_built(shell) and not has_built(shell)
+    os.utime(package / "package.xml", (1.0, 1.0))  # copied here with its old date
+    assert has_built(shell) and not has_built(shell)
+    assert has_built(("build",)), "it is what was asked for"
 
 
 def test_the_second_tier_gets_its_ground_stations_and_nothing_else_changes(workspace):
