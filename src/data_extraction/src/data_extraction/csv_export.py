@@ -3,7 +3,7 @@
 import csv
 import pathlib
 
-from data_extraction.flatten import flatten
+from data_extraction.flatten import Flattener
 
 
 def file_name(topic):
@@ -16,19 +16,36 @@ class _CsvTopic:
 
     def __init__(self, path):
         self.path, self.rows = path, 0
-        self._columns = {}  # -> None, in their order
+        self._flattener = Flattener()
+        self._columns = {"receipt": None}  # in their order; a field of that name takes its place
         self._header = []  # as it was written with the first row
+        self._newest = None  # columns of the newest row,
+        self._stamp, self._in_order = None, True  # the place of its stamp, and whether they are the file's first ones
         self._file = path.open("w", newline="", encoding="utf-8")
-        self._writer = csv.DictWriter(self._file, self._columns, extrasaction="ignore")
+        self._writer = csv.writer(self._file)
 
-    def write(self, row):
-        """Append one row, a dict {column: value}."""
-        self._columns.update(dict.fromkeys(row))
+    def write(self, receipt_s, message):
+        """Append the row of a message; receipt_s [s]: its first column."""
+        columns, values = self._flattener(message)
+        if columns is not self._newest:
+            self._adopt(columns)
+        if self._stamp is not None:
+            values[self._stamp] = "%.6f" % values[self._stamp]
+        receipt = "%.6f" % receipt_s
+        if not self._in_order:
+            row = {"receipt": receipt, **dict(zip(columns, values))}
+            self._writer.writerow([row.get(column, "") for column in self._columns])
+        else:
+            self._writer.writerow([receipt, *values])
+        self.rows += 1
+
+    def _adopt(self, columns):
+        self._newest, self._stamp = columns, columns.index("stamp") if "stamp" in columns else None
+        self._columns.update(dict.fromkeys(columns))
+        self._in_order = ("receipt", *columns) == tuple(self._columns)[: len(columns) + 1]
         if not self._header:
             self._header = list(self._columns)
-            self._writer.writeheader()
-        self._writer.writerow(row)
-        self.rows += 1
+            self._writer.writerow(self._header)
 
     def close(self):
         """Finish the file. When columns were added after the first row, the header and short rows are completed."""
@@ -60,10 +77,7 @@ def export(bag, folder, topics=None, on_message=None):
         for topic, receipt_s, message in bag.messages(topics):
             if topic not in files:
                 files[topic] = _CsvTopic(folder / file_name(topic))
-            row = {"receipt": "%.6f" % receipt_s, **flatten(message)}
-            if "stamp" in row:
-                row["stamp"] = "%.6f" % row["stamp"]
-            files[topic].write(row)
+            files[topic].write(receipt_s, message)
             if on_message is not None:
                 on_message(topic, receipt_s, message)
     finally:

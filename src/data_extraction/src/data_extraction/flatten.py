@@ -5,9 +5,14 @@ import functools
 
 import numpy as np
 
+_SCALARS, _ARRAYS = {bool, int, float, str}, (list, tuple, np.ndarray)
+_TIME = ("sec", "nanosec")
+_MOST_NUMBERS = 64  # of bytes: more are binary
+_MOST_SHAPES = 256  # remembered of the messages of a topic
 
-def flatten(message):
-    """Row of a message as a dict {column: value}, in the order of the message's fields.
+
+class Flattener:
+    """Messages of one topic as rows.
 
     - `header` gives the columns `stamp` [s], `seq`, `frame_id`; other times and durations become seconds;
     - nested fields are joined with dots: `linear.x`;
@@ -16,26 +21,25 @@ def flatten(message):
       array of the same message has taken already gets its own array's name: `quads.Raven.azim`;
     - elements without a name are numbered: `ranges[3]`;
     - binary arrays (images) become their length in bytes.
-
-    message: an object as the rosbags library deserialises it (a dataclass).
     """
-    row = {}
-    for name in _names(type(message)):
-        value = getattr(message, name)
-        is_message = dataclasses.is_dataclass(value)
-        if is_message and name == "header":
-            row.update(stamp=seconds(value.stamp), seq=getattr(value, "seq", 0), frame_id=value.frame_id)
-        elif is_message and _names(type(value)) == ("sec", "nanosec"):
-            row[name] = seconds(value)
-        elif is_message:
-            row.update(_below(name, flatten(value)))
-        elif isinstance(value, np.ndarray) and value.dtype == np.uint8 and len(value) > 64:
-            row[name + ".bytes"] = len(value)
-        elif isinstance(value, (list, tuple, np.ndarray)):
-            _add_array(row, name, value.tolist() if isinstance(value, np.ndarray) else value)
-        else:
-            row[name] = value
-    return row
+
+    def __init__(self):
+        self._columns = {}  # {what the columns depend on: they}
+
+    def __call__(self, message):
+        """(columns: tuple of str, values: list of the same length), in the order of the message's fields.
+
+        message: an object as the rosbags library deserialises it (a dataclass). Columns that are the same tuple as
+        before, the same object, are worked out once.
+        """
+        values, key = [], []
+        _add_values(message, "", values, key)
+        columns = self._columns.get(key := tuple(key))
+        if columns is None:
+            if len(self._columns) >= _MOST_SHAPES:
+                self._columns.clear()
+            columns = self._columns[key] = tuple(_columns(message))
+        return columns, values
 
 
 def seconds(time):
@@ -48,28 +52,84 @@ def stamp_or_receipt_s(message, receipt_s):
     return seconds(message.header.stamp) or receipt_s
 
 
-def _below(name, row):
-    return {"%s.%s" % (name, column): value for column, value in row.items()}
+def _add_values(message, left_out, values, key):
+    """The values of a message to their list; and what the columns depend on beside its type: names and lengths."""
+    for name in _names(type(message)):
+        value = getattr(message, name)
+        if type(value) in _SCALARS:  # most are
+            if name != left_out:
+                values.append(value)
+        elif (inner := _names(type(value))) is not None:
+            if name == "header":
+                values += seconds(value.stamp), getattr(value, "seq", 0), value.frame_id
+            elif inner == _TIME:
+                values.append(seconds(value))
+            else:
+                _add_values(value, "", values, key)
+        elif _is_binary(value):
+            values.append(len(value))
+            key.append(name)
+        elif isinstance(value, _ARRAYS):
+            key.append(len(value))
+            for item in _items(value):
+                if _names(type(item)) is not None:
+                    own_name = getattr(item, "name", "")
+                    key.append(own_name)
+                    _add_values(item, "name" if own_name else "", values, key)
+                else:
+                    values.append(item)
+        else:
+            values.append(value)
 
 
-def _add_array(row, name, items):
-    seen = set()
+def _columns(message, left_out=""):
+    """Names of the values of a message, a list."""
+    columns = []
+    for name in _names(type(message)):
+        value = getattr(message, name)
+        inner = _names(type(value))
+        if inner is not None and name == "header":
+            columns += "stamp", "seq", "frame_id"
+        elif inner is not None and inner != _TIME:
+            columns += ["%s.%s" % (name, column) for column in _columns(value)]
+        elif _is_binary(value):
+            columns.append(name + ".bytes")
+        elif isinstance(value, _ARRAYS):
+            columns += _columns_of_array(name, _items(value), set(columns))
+        elif name != left_out:
+            columns.append(name)
+    return columns
+
+
+def _columns_of_array(name, items, taken):
+    columns, seen = [], set()
     for index, item in enumerate(items):
-        if not dataclasses.is_dataclass(item):
-            row["%s[%d]" % (name, index)] = item
+        if _names(type(item)) is None:
+            columns.append("%s[%d]" % (name, index))
             continue
-        inner, own_name = flatten(item), getattr(item, "name", "")
+        own_name = getattr(item, "name", "")
         label = own_name or "%s[%d]" % (name, index)
         if label in seen:
             label = "%s[%d]" % (label, index)
         seen.add(label)
-        if own_name:
-            del inner["name"]
-        columns = _below(label, inner)
-        row.update(columns if row.keys().isdisjoint(columns) else _below(name, columns))
+        of_item = ["%s.%s" % (label, column) for column in _columns(item, "name" if own_name else "")]
+        columns += of_item if taken.isdisjoint(of_item) else ["%s.%s" % (name, column) for column in of_item]
+    return columns
+
+
+def _is_binary(value):
+    return isinstance(value, np.ndarray) and value.dtype == np.uint8 and len(value) > _MOST_NUMBERS
+
+
+def _items(array):
+    return array.tolist() if isinstance(array, np.ndarray) else array
 
 
 @functools.cache
 def _names(kind):
-    """Names of a message's fields without its constants, which rosbags gives as fields that belong to the class."""
+    """Names of a message's fields without its constants, which rosbags gives as fields that belong to the class; of
+    another type: None.
+    """
+    if not dataclasses.is_dataclass(kind):
+        return None
     return tuple(field.name for field in dataclasses.fields(kind) if not str(field.type).startswith("ClassVar"))
