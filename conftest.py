@@ -1,13 +1,9 @@
-"""For all tests: the first tier and the second, which only --all runs; what runs side by side, and in which order; and
-no stopwatch on what hypothesis makes up.
-"""
+"""For all tests: the first tier and the second, which only --all runs; and no stopwatch on what hypothesis makes up."""
 
 import pytest
 from hypothesis import HealthCheck, settings
-from xdist.scheduler import LoadFileScheduling
 
 FIRST, SECOND = "first tier", "second tier"  # of tests, for hypothesis
-ROSTESTS = "test_ros.py"  # these run last, when no flight is under way beside them any more
 LEFT = pytest.StashKey[int]()  # how many tests are left for --all
 
 # neither an example nor making one up has a limit; the first tier tries the same ones every time
@@ -30,20 +26,8 @@ def inputs(request):
     return lambda few, many: many if request.config.getoption("all") else few
 
 
-class _FilesAndRostests(LoadFileScheduling):
-    """A process runs a file at a time, whose tests may share a fixture; of rostests, which are long, one."""
-
-    def _split_scope(self, nodeid):
-        return nodeid if ROSTESTS + "::" in nodeid else super()._split_scope(nodeid)
-
-
-def pytest_xdist_make_scheduler(config, log):
-    return _FilesAndRostests(config, log)
-
-
 @pytest.hookimpl(trylast=True)  # what -k and -m leave out is not counted
 def pytest_collection_modifyitems(config, items):
-    items.sort(key=lambda item: item.path.name == ROSTESTS)
     if config.getoption("all"):
         return
     left = [item for item in items if item.get_closest_marker("release")]

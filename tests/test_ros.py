@@ -21,21 +21,17 @@ ROSTESTS = sorted((ROOT / "src").rglob("test/*.test"))
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src").rglob("launch/*.launch"))
 LAUNCH_FILES.remove(ROOT / "src/risc_lab/launch/refuse.launch")  # never loads, on purpose
 GTESTS = sorted(path for path in (ROOT / "devel" / "lib").glob("*/test_*") if os.access(str(path), os.X_OK))
-ALONE = pytest.mark.alone
-# {test of the second tier: its other marks}. The tuner: risc_visual/transform_tuner. roscopter, serial_node and what
-# flies an IRIS+ are in test_iris_flight.py, the operator in every flight, landmarks in that of `coop`; all have tests
-# without a graph, and serial_node meets the firmware in rosserial_python/firmware.
-RELEASE = {"risc_experiments/tuner_by_mouse": [ALONE]}
-RELEASE |= dict.fromkeys(
-    (
-        "roscopter/roscopter",
-        "rosserial_python/serial_node",
-        "risc_control/iris_nodes",
-        "risc_experiments/operator",
-        "risc_visual/landmark_nodes",
-    ),
-    [],
-)
+# Of the second tier. The tuner: risc_visual/transform_tuner. roscopter, serial_node and what flies an IRIS+ are in
+# test_iris_flight.py, the operator in every flight, landmarks in that of `coop`; all have tests without a graph, and
+# serial_node meets the firmware in rosserial_python/firmware.
+RELEASE = {
+    "risc_experiments/tuner_by_mouse",
+    "roscopter/roscopter",
+    "rosserial_python/serial_node",
+    "risc_control/iris_nodes",
+    "risc_experiments/operator",
+    "risc_visual/landmark_nodes",
+}
 # Arguments for launch files that cannot do without.
 ADDRESSES = {"fleet": str(ROOT / "launch/fleets/ardrones3.yaml"), "ip": "127.77.1.1",
              **{"risc%d_address" % k: "127.0.0.%d" % k for k in (1, 2, 3, 4)}}  # fmt: skip
@@ -52,14 +48,14 @@ def label(path):
     return "%s/%s" % (path.parent.name if path.suffix != ".test" else package_of(path), path.stem)
 
 
-def parameters():
-    """Rostests. Those of RELEASE are the second tier's."""
-    for path in ROSTESTS:
-        marks = [pytest.mark.release, *RELEASE[label(path)]] if label(path) in RELEASE else []
-        yield pytest.param(path, id=label(path), marks=marks)
-
-
-@pytest.mark.parametrize("path", parameters())
+@pytest.mark.alone
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=label(path), marks=[pytest.mark.release] if label(path) in RELEASE else [])
+        for path in ROSTESTS
+    ],
+)
 def test_rostest(path, tmp_path):
     identity = uuid.uuid4().hex
     environment = dict(os.environ, ROS_HOME=str(tmp_path), ROS_IP="127.0.0.1", **{MARK: identity})

@@ -9,6 +9,8 @@ import pytest
 
 from risc_lab.priority import FLIGHT, VIRTUAL_LAB
 
+pytestmark = pytest.mark.alone  # the others have a niceness already, which stays
+
 PROGRAM = """
 import os, threading
 from risc_lab.priority import raise_priority
@@ -23,6 +25,7 @@ print(os.getpriority(os.PRIO_PROCESS, 0), *found)
 
 
 AUTOGROUP = pathlib.Path("/proc/self/autogroup")
+WITH_PRIORITY = str(pathlib.Path(__file__).parents[1] / "src/risc_lab/nodes/with_priority")
 
 
 def group_niceness_after(*command):
@@ -61,14 +64,14 @@ def test_what_was_started_with_nice_stays_so():
 
 @pytest.mark.skipif(not AUTOGROUP.exists(), reason="this kernel does not divide the processor among sessions")
 def test_a_session_of_its_own_is_set_as_a_whole():
-    with_priority = [sys.executable, str(pathlib.Path(__file__).parents[1] / "nodes" / "with_priority")]
+    with_priority = [sys.executable, WITH_PRIORITY]
     assert group_niceness_after("env") == 0
     assert group_niceness_after(*with_priority, "7") == 7
 
 
 @pytest.mark.parametrize("arguments", [(), ("7",), ("fast", "true"), ("7", "no_such_command_at_all")])
 def test_wrong_use_of_with_priority_is_one_line(arguments):
-    with_priority = [sys.executable, str(pathlib.Path(__file__).parents[1] / "nodes" / "with_priority")]
+    with_priority = [sys.executable, WITH_PRIORITY]
     result = subprocess.run([*with_priority, *arguments], stderr=subprocess.PIPE, check=False)
     assert result.returncode == 1
     assert len(result.stderr.decode().splitlines()) == 1
