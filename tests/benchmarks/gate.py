@@ -1,9 +1,9 @@
 """What the estimator refuses, and whether its covariances are true: `./maap bench gate`.
 
-Simulated: fleets of three AR.Drones, and of two and an IRIS+, on perturbed plants fly real courses offline; what the
-virtual lab's cameras see of them, again and again with other noise, goes to the state estimator with the filter `ekf`.
-Everything is seeded; every seed flies another course and heading. `--gate off` is the control arm: no gate of the pose
-fit and of the filter refuses anything.
+Simulated: fleets of three AR.Drones, and of two and an IRIS+, on perturbed plants and in gusts fly real courses
+offline; what the virtual lab's cameras see of them, again and again with other noise, goes to the state estimator with
+the filter `ekf`. Everything is seeded; every seed flies another course and heading. `--gate off` is the control arm: no
+gate of the pose fit and of the filter refuses anything.
 
 - false_reject_rate: share of the poses of clean frames (a body in a frame, with three markers or more to be seen) that
   the pose fit or the filter refuses, or takes only in part; with the upper 95 % bound of Clopper and Pearson.
@@ -96,7 +96,7 @@ def flight_of(seed):
     """The Flight of a seed: each is another course, fleet and heading."""
     fleet = pathlib.Path(__file__).resolve().parents[2] / "launch" / "fleets" / (FLEETS[seed % len(FLEETS)] + ".yaml")
     heading = {"psi_deg": YAW_BY_SEED_DEG * seed, "fleet": str(fleet)}
-    return Flight(COURSES[seed // len(FLEETS) % len(COURSES)], seed=seed, duration_s=FLIGHT_S, **heading)
+    return Flight(COURSES[seed // len(FLEETS) % len(COURSES)], seed=seed, duration_s=FLIGHT_S, gusts=True, **heading)
 
 
 def new_estimator(tape, gate):
