@@ -28,7 +28,6 @@ from risc_visual.pictures import rviz_pictures
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "launch/legacy"
 PAGE = ROOT / "docs/legacy_launch_files.md"
-
 STARTED_S = 300.0  # until a graph is complete, on a computer that does much else
 FLOWN_S = 150.0  # until a flight has ended, the same
 SOME = ("DF_Demo_sim", "test_DF")  # the lab and the plots; an IRIS+

@@ -53,7 +53,9 @@ def stamp_or_receipt_s(message, receipt_s):
 
 
 def _add_values(message, left_out, values, key):
-    """The values of a message to their list; and what the columns depend on beside its type: names and lengths."""
+    """The values of a message to their list, in the order of `_columns`; to `key` what these depend on beside its type:
+    names and lengths. This runs for every message, `_columns` once for each key.
+    """
     for name in _names(type(message)):
         value = getattr(message, name)
         if type(value) in _SCALARS:  # most are
