@@ -42,9 +42,10 @@ def refuse(number):
     return number
 
 
-def hold_semaphore(number):
-    HELD.append(multiprocessing.get_context("forkserver").Lock())
-    time.sleep(0.1 * number)
+def hold_semaphore(then_s):
+    if not HELD:
+        HELD.append(multiprocessing.get_context("forkserver").Lock())
+    time.sleep(then_s)
 
 
 def own_pid(_):
@@ -102,8 +103,8 @@ def test_workers_end_when_somebody_has_seen_enough():
 HOLDING = """
 from test_workers import hold_semaphore
 from risc_experiments.workers import in_order
-results = in_order(hold_semaphore, range(20), 2)
-next(results)
+results = in_order(hold_semaphore, [0, 0, 100, 100], 2)
+next(results), next(results)  # each worker has made its own, and is in the middle of an item
 results.close()
 """
 
