@@ -131,7 +131,7 @@ def test_a_wrong_style_ends_it_before_anything_is_built(workspace):
 
 def test_a_command_on_its_way_builds_only_what_has_changed(workspace):
     python = workspace / ".venv/bin/python"
-    python.write_text('#!/bin/sh\ncase "$*" in *--compile*) exit 0 ;; esac\nexec %s "$@"\n' % sys.executable)
+    python.write_text('#!/bin/sh\ncase "$*" in *precompile*) exit 0 ;; esac\nexec %s "$@"\n' % sys.executable)
     package = workspace / "src/toy"
     package.mkdir(parents=True)
     shutil.copy(str(ROOT / "src/CMakeLists.txt"), str(workspace / "src"))

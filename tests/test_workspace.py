@@ -44,7 +44,7 @@ def install_space(tmp_path_factory):
 def test_a_vehicle_flies_from_the_install_space(install_space, tmp_path):
     # setup.bash reads the arguments of the script that sources it
     script = """arguments=("$@"); set --; . "$0/setup.bash"
-        which python3 && rospack find risc_control && python3 -m risc_experiments.offline --compile &&
+        which python3 && rospack find risc_control && python3 -m risc_experiments.precompile &&
         exec python3 "${arguments[@]}" """
     code, output, _, folder = fly(
         tmp_path / "flight",

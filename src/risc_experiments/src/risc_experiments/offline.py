@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop, default_params, own_params
@@ -34,7 +33,6 @@ from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.transitions import WayLimits
 from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_estimation.filters import COMMAND, make_filter
-from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
@@ -54,7 +52,6 @@ from risc_simulator.faults import FaultEvent
 from risc_simulator.injector import Injector
 from risc_simulator.models.gusts import Gusts
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
-from risc_simulator.video.polygons import clip_polygons, coverage
 from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
@@ -498,11 +495,7 @@ def main(argv=None):
         "them")  # fmt: skip
     add("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
-    add("--compile", action="store_true", help="only compile what flies (see risc_lab.compiled)")
     args = parser.parse_args(argv)
-    if args.compile:
-        _compile()
-        return 0
     common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts", "speed")
     common = {name: getattr(args, name) for name in common}
     try:
@@ -566,25 +559,6 @@ def _told(result):
         after = "" if fault.reaction_ms is None else " after %.0f ms" % fault.reaction_ms
         told.append("%s:%s %s%s%s" % (fault.name, fault.args, fault.outcome, after, "" if fault.safe else " (unsafe)"))
     return "; ".join(told)
-
-
-def _compile():
-    """Have numba compile and keep all that runs in every frame of a flight."""
-    from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
-    from risc_estimation.ros.conversions import EstimateMessages
-
-    fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
-    fly(Flight(vehicles=1, gusts=True, duration_s=0.5, types=("iris",)))
-    for name in ESTIMATORS.names():
-        fly(Flight(vehicles=1, duration_s=0.1, estimator=name))
-    for name in CONTROLLERS.names():
-        ControlLoop(name, [load_vehicle_type("ardrone")])
-    FrameEncoder((("body", 1),))  # the virtual lab's
-    clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
-    coverage([np.zeros((3, 2))], (0, 0, 1, 1))
-    StatesReader(())
-    ControlsMessage(())
-    EstimateMessages()
 
 
 if __name__ == "__main__":
