@@ -117,8 +117,8 @@ def test_a_program_that_hangs_for_a_moment_and_then_dies_ends_safe(tmp_path, pro
     if program == "master":
         assert [fault["outcome"] for fault in (hang, *dead)] == ["completed", "completed"]
     else:
-        assert all(fault["outcome"] == "landed" for fault in dead) or program == "mocap_client"
-        assert len(dead) == 1 or hang["outcome"] == "landed"
+        # it dies while they fly, or the moment was too long for them
+        assert "landed" in [fault["outcome"] for fault in (hang, *dead)] or program == "mocap_client"
 
 
 @pytest.mark.release

@@ -583,8 +583,8 @@ def operator(t_s, phase=OperatorPhase.FLY, on_course=True, out=()):
     return "/operator/phase", OperatorState(phase=phase, on_course=on_course, out=list(out)), T0_S + t_s
 
 
-def truth(t_s, x=0.0, z=1.0, name="fluffy_II"):
-    return "/ground_truth", Cortex(Obj=[States(name=name, visible=True, x=x, z=z)]), T0_S + t_s
+def truth(t_s, x=0.0, z=1.0, w=0.0, name="fluffy_II"):
+    return "/ground_truth", Cortex(Obj=[States(name=name, visible=True, x=x, z=z, w=w)]), T0_S + t_s
 
 
 def flown(play, *rows):
@@ -702,9 +702,10 @@ def test_each_fault_answers_for_what_happens_until_the_next(play):
     [
         [("/virtual_lab/crash", Crash(vehicle="risc1", reason="flew into the net"), T0_S + 4.0)],
         [truth(4.0, x=NET_HALF_X_M), truth(15.0, z=0.05)],
+        [truth(4.0, z=0.5, w=-3.0), truth(15.0, z=0.05)],  # its motors were cut
         [said("risc1", 4.0, Safety.LAND), truth(24.0, z=0.5)],  # it never came down
     ],
-    ids=["crash", "net", "in the air"],
+    ids=["crash", "net", "fell", "in the air"],
 )
 def test_a_breach_is_what_touched_left_or_stayed_up(play, rows):
     (outcome,) = flown(play, told(fault(1, 3.0), t_s=3.0), *rows).outcomes

@@ -324,6 +324,22 @@ def test_one_that_is_too_near_to_others_holds_then_lands():
     assert flight.run(0.005, airborne=False).level == FailsafeLevel.OK
 
 
+@pytest.mark.parametrize("what", ["state", "controls"])
+def test_those_that_hold_because_of_the_same_loss_go_on_together(what):
+    """Each hears a little later that the others hold no more: a short loss would land them all."""
+    flight, limits = Flight(), SafetyLimits()
+    flight.alive.remove(what)
+    assert flight.run(0.11).level == FailsafeLevel.HOLD
+    flight.look = NEAR
+    assert flight.run(0.1).rule in (Rule.STATE, Rule.CONTROLS)
+    flight.alive.add(what)
+    assert flight.run(limits.separation_delay_s - 0.01).level == FailsafeLevel.OK
+    flight.look = ALONE
+    assert flight.run(2.0).level == FailsafeLevel.OK
+    flight.look = NEAR  # the control arm: the others do not go on
+    assert flight.run(limits.separation_delay_s + 0.01).rule == Rule.SEPARATION
+
+
 def test_one_that_has_held_does_not_follow_its_reference():
     flight = Flight()
     flight.look = NEAR

@@ -293,7 +293,9 @@ class SafetyLadder:
     def note_look(self, look, now_s):
         """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
         self._look = look
-        self._near.note(look.holds, now_s)
+        # Those that hold because of the same loss go on together: that the others still hold counts from then on.
+        is_lost = self.verdict.level == _HOLD and self.verdict.rule in LOSSES
+        self._near.note(look.holds and not is_lost, now_s)
 
     def apart(self, now_s):
         """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before

@@ -16,6 +16,7 @@ from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause
 
 LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
+FALL_M_S = 2.0  # nobody comes down so fast on purpose
 _NEVER_S = math.inf
 TOLD = "/virtual_lab/told"
 FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
@@ -132,9 +133,9 @@ class FaultCollector(Collector):
         self._began = {}  # (topic, id) -> when it did
         self._levels = {}  # (topic, vehicle) -> its level
         self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # what was said, what was sent, what came
-        self._hurt_s = []  # when a vehicle touched something, or left the net
+        self._hurt_s = []  # when a vehicle touched something, left the net, or fell
         self._contacts_s = []  # when two touched each other
-        self._outside = set()  # vehicles
+        self._hurt = set()  # vehicles that are outside, or falling
         self._heights_m = {}
         self._kept_apart = set()
         self._begin_flight(-_NEVER_S)
@@ -178,10 +179,10 @@ class FaultCollector(Collector):
             self._heights_m[self._namespaces.get(state.name, state.name)] = state.z
             # the net holds it where it is
             inside = abs(state.x) < arena.half_x_m and abs(state.y) < arena.half_y_m and state.z < arena.height_m
-            if inside:
-                self._outside.discard(state.name)
-            elif state.name not in self._outside:
-                self._outside.add(state.name)
+            if inside and state.w > -FALL_M_S:
+                self._hurt.discard(state.name)
+            elif state.name not in self._hurt:
+                self._hurt.add(state.name)
                 self._hurt_s.append(stamp_s)
 
     def _note_level(self, topic, vehicle, level, time_s):

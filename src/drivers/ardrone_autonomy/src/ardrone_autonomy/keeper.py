@@ -1,9 +1,10 @@
 """A small process beside the driver: it keeps vehicles hovering when the driver dies or hangs, and then lands them.
 
 The aircraft flies on with its last tilt for a second when nobody commands it, and a driver that is started again
-needs longer. What it may do is said in memory that both share; it has nothing of the driver's that could fail with it.
-A driver that is started again takes its vehicles over from the keeper of the one that died (`take_over`); programs of
-other users cannot.
+needs longer. It is brought to a stop and then down: one that hovers drifts by some centimetres a second, and its
+neighbours may have lost their driver, too. What it may do is said in memory that both share; it has nothing of the
+driver's that could fail with it. A driver that is started again takes its vehicles over from the keeper of the one that
+died (`take_over`); programs of other users cannot.
 
     hovers  at once when the driver has died, after STALE_S when it hangs
     lands   HOVER_S later, if nobody has taken over
@@ -23,7 +24,7 @@ import sys
 import time
 
 STALE_S = 0.15  # the driver says what it does 40 times a second
-HOVER_S = 4.0  # within which a new driver has taken over
+HOVER_S = 1.0  # it has come to a stop then; a driver that hung for a moment goes on before
 LAND_S = 4.0  # how long a landing is ordered
 _LOOK_S = 0.05
 _SEND_S = 0.025  # as the driver
