@@ -21,7 +21,7 @@ import yaml
 from flying import judged
 
 from data_extraction.bags import Bag
-from risc_control.failsafe import FailsafeLevel, Rule
+from risc_control.safety import FailsafeLevel, Rule
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 

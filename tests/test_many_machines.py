@@ -39,7 +39,7 @@ from wire_log import ask_for_times, receive
 
 from data_extraction.bags import Bag
 from data_extraction.report.computers import ComputerCollector
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_control.vehicles import greatest_command
 from risc_lab.lab import load_fleet, load_vehicle_type
 from risc_lab.lab.fleet import LEGACY_VEHICLES

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from risc_control.failsafe import FailsafeLevel, Rule
+from risc_control.safety import FailsafeLevel, Rule
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

@@ -30,7 +30,7 @@ from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector
 from data_extraction.samples import Arrivals, Samples
-from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits, fence_of
+from risc_control.safety import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits, fence_of
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase

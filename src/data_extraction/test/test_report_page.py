@@ -19,7 +19,7 @@ from std_msgs.msg import Bool, String
 from data_extraction.report.__main__ import INSTALL, main, make, write_pdf
 from data_extraction.report.gates import GATES
 from data_extraction.report.origin import parameter_hash
-from risc_control.failsafe import Rule
+from risc_control.safety import Rule
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 from risc_maap_msgs.msg import (

@@ -5,8 +5,9 @@ import math
 
 import pytest
 
-from risc_control.failsafe import FailsafeLevel, Freshness, Rule, SafetyLadder, SafetyLimits
+from risc_control.failsafe import Freshness, SafetyLadder
 from risc_control.fence import Fence, pushed_m_s2
+from risc_control.safety import FailsafeLevel, Rule, SafetyLimits
 from risc_control.separation import ALONE, Look
 from risc_lab.lab import load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M

@@ -7,7 +7,7 @@ from hover_desk import IRIS, Desk, G, Iris, flown, level_at, said
 from joystick_desk import DOWN, EMERGENCY, TAKEOFF_LAND, TOGGLE, UP
 
 from risc_control import hover, vehicle_pilot
-from risc_control.failsafe import FailsafeLevel, Rule
+from risc_control.safety import FailsafeLevel, Rule
 from risc_control.separation import Look
 from risc_control.vehicle_pilot import VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import FlightState, Status

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from risc_control.failsafe import SafetyLimits
 from risc_control.plausibility import Doubt, Plausibility, reach_of
+from risc_control.safety import SafetyLimits
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_control.separation import ALONE, Separation
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S

@@ -7,8 +7,8 @@ import pytest
 from hover_desk import IRIS, Desk, Iris, flown, level_at, said
 from joystick_desk import TAKEOFF_LAND, TOGGLE
 
-from risc_control.failsafe import FailsafeLevel
 from risc_control.joystick import CENTRED, Sticks
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import FlightState, iris
 from risc_control.vehicles.iris import OTHER_US, TrainerSwitch, hover_throttle
 

@@ -8,8 +8,8 @@ import pytest
 from joystick_desk import EMERGENCY, SHUT_DOWN, TAKEOFF_LAND, TOGGLE, UP, JoystickDesk
 from scipy.integrate import solve_ivp
 
-from risc_control.failsafe import FailsafeLevel, Rule, fence_of
 from risc_control.joystick import Sticks
+from risc_control.safety import FailsafeLevel, Rule, fence_of
 from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
     OwnState,

@@ -26,7 +26,7 @@ from vehicle_world import (
     wait_for,
 )
 
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_maap_msgs.msg import Safety
 from roscopter.msg import State
 

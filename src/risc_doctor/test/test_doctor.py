@@ -23,7 +23,7 @@ import yaml
 from ardrone_autonomy.protocol.navdata import State
 from cortex_ros.connection import stream_socket
 from cortex_ros.wire import BodyDef
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_control.vehicles import FlightState, Status
 from risc_doctor import (
     axes,

@@ -11,7 +11,7 @@ import types
 
 import pytest
 
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_estimation.filters import make_filter
 from risc_experiments import fly, headroom
 from risc_experiments.headroom import judge, next_rate_hz, verdict

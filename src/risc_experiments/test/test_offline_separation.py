@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from risc_control import vehicle_pilot
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_control.separation import Separation
 from risc_control.trajectories import COURSES, make_course, minimum_separation
 from risc_control.trajectory_manager import make_manager

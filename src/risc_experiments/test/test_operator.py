@@ -2,7 +2,7 @@
 
 import pytest
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicle_pilot import FlightState
 from risc_experiments.operator import JOY_RATE_HZ, Joypad, Operator, OperatorParams, time_limit_s
 from risc_lab.phases import OperatorPhase as Phase

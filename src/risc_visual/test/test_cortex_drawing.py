@@ -8,7 +8,7 @@ import pytest
 from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Header
 
-from risc_control.failsafe import FailsafeLevel, Verdict
+from risc_control.safety import FailsafeLevel, Verdict
 from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States

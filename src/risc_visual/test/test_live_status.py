@@ -9,7 +9,7 @@ from collections import namedtuple
 
 import pytest
 
-from risc_control.failsafe import FailsafeLevel, Verdict
+from risc_control.safety import FailsafeLevel, Verdict
 from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Vehicle
 
 FLYING = 3

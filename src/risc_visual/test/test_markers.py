@@ -8,7 +8,7 @@ import pytest
 from drawn import HEAD, NOW_S, STAMP, cortex, everything, landmarks, mocap, path, rays, scene, twist
 from visualization_msgs.msg import Marker, MarkerArray
 
-from risc_control.failsafe import FailsafeLevel, Verdict
+from risc_control.safety import FailsafeLevel, Verdict
 from risc_lab.frames import rotation_body_to_cortex
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.ros.airframes import AIRFRAMES

@@ -11,7 +11,7 @@ from data_extraction.flatten import seconds
 from data_extraction.recording import ON_COURSE, REFERENCES, STATES, TRUTH, Recording, Series, best_shift
 from data_extraction.report.topics import Collector, vehicle_of
 from data_extraction.samples import Arrivals
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import adapter_class
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles

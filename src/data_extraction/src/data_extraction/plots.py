@@ -17,7 +17,7 @@ from matplotlib.ticker import MultipleLocator  # noqa: E402
 from data_extraction.flight_metrics import HOPS  # noqa: E402
 from data_extraction.report.drops import cell_edges  # noqa: E402
 from data_extraction.segments import ANGLES, DESIRED_ANGLES, DESIRED_POSITION, POSITION, VELOCITY_ERROR  # noqa: E402
-from risc_control.failsafe import FailsafeLevel  # noqa: E402
+from risc_control.safety import FailsafeLevel  # noqa: E402
 from risc_lab.lab.yaml_reader import package_file  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.failsafe import SafetyLimits, fence_of
 from risc_control.fence import Fence
 from risc_control.reference_buffer import Axis, Order
+from risc_control.safety import SafetyLimits, fence_of
 from risc_control.trajectories import course_for_fleet, speed_factor, speed_text
 from risc_control.vehicles import climb_command, climb_loops, greatest_command
 from risc_control.waypoints import Waypoints

@@ -13,10 +13,11 @@ import numpy as np
 
 from risc_control import preflight
 from risc_control.braking import Braking
-from risc_control.failsafe import LOSSES, FailsafeLevel, Rule, SafetyLadder, SafetyLimits
+from risc_control.failsafe import SafetyLadder
 from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, HAS_PILOT, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
+from risc_control.safety import LOSSES, FailsafeLevel, Rule, SafetyLimits
 from risc_control.separation import ALONE
 from risc_control.vehicles import (
     NO_EVIDENCE,

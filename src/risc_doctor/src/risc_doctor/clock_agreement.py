@@ -6,7 +6,7 @@ import ctypes
 import subprocess
 from dataclasses import asdict, dataclass
 
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_doctor.findings import RED, YELLOW, Findings, finding
 
 _CHRONYC_PATIENCE_S = 2.0

@@ -3,7 +3,7 @@
 import concurrent.futures
 
 from ardrone_autonomy.protocol.navdata import State
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 from risc_doctor import interfaces as net
 from risc_doctor import navdata_probe

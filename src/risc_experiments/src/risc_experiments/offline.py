@@ -23,10 +23,10 @@ import numpy as np
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop, default_params, own_params
-from risc_control.failsafe import fence_of
 from risc_control.feasibility import fleet_course, fleet_ways
 from risc_control.plausibility import Plausibility
 from risc_control.reference_buffer import ReferenceBuffer
+from risc_control.safety import fence_of
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import YawProgram, find_course
 from risc_control.trajectory_manager import Phase, make_manager

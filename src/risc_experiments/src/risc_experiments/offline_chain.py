@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicle_pilot import OwnState, VehiclePilot
 from risc_control.vehicles import Controls, FlightState, Status, adapter_class
 from risc_lab.states import S

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_experiments.offline_chain import LATENCY_S
 
 

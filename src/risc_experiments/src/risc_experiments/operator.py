@@ -16,7 +16,7 @@ stands, and is left alone from then on; the others fly on. Times are seconds of 
 import math
 from dataclasses import dataclass
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState
 from risc_lab.phases import OperatorPhase as Phase
 from risc_lab.phases import OperatorResult, OutCause

@@ -11,9 +11,9 @@ import numpy as np
 from cortex_ros.wire import FrameEncoder
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop
-from risc_control.failsafe import fence_of
 from risc_control.feasibility import fleet_course
 from risc_control.plausibility import Plausibility
+from risc_control.safety import fence_of
 from risc_control.separation import Separation
 from risc_control.trajectories import find_course
 from risc_control.trajectory_manager import make_manager

@@ -14,7 +14,7 @@ from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.snapshots import SnapshotCollector
 from data_extraction.report.topics import fits
-from risc_control.failsafe import SafetyLimits, fence_of
+from risc_control.safety import SafetyLimits, fence_of
 from risc_lab.lab.arena import Arena
 
 

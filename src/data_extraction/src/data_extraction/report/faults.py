@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from data_extraction.flatten import seconds
 from data_extraction.report.topics import Collector, vehicle_of
-from risc_control.failsafe import FailsafeLevel, Rule
+from risc_control.safety import FailsafeLevel, Rule
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause

@@ -7,8 +7,8 @@ import numpy as np
 from data_extraction.flatten import stamp_or_receipt_s
 from data_extraction.report.topics import PerName
 from data_extraction.samples import Samples
-from risc_control.failsafe import SafetyLimits
 from risc_control.fence import Fence
+from risc_control.safety import SafetyLimits
 from risc_lab.lab import load_vehicle_type
 
 _BLOCK_S = 0.1  # the least margin of so long is one point of the drawing

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from data_extraction.report.topics import PerName, vehicle_of
-from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule
+from risc_control.safety import WITHOUT_EFFECT, FailsafeLevel, Rule
 
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
 

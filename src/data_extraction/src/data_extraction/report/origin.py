@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import yaml
 
 from data_extraction.command_line import fleet_of
-from risc_control.failsafe import SafetyLimits, fence_of
 from risc_control.fence import Fence
+from risc_control.safety import SafetyLimits, fence_of
 from risc_lab.lab import Fleet
 from risc_lab.settings import settings_from
 

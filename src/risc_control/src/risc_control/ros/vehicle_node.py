@@ -22,11 +22,11 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.controller_stream import ControllerStream
-from risc_control.failsafe import fence_of
 from risc_control.joystick import Button
 from risc_control.plausibility import Plausibility
 from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
+from risc_control.safety import fence_of
 from risc_control.separation import ALONE, Separation
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, adapter_class

@@ -17,7 +17,7 @@ import risc_estimation
 import risc_experiments
 import risc_lab
 import risc_simulator
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_experiments.offline import JUDGE_EVERY, fly
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S
 from risc_experiments.workers import in_order

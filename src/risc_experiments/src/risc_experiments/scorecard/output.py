@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from data_extraction import plots
 from data_extraction.report import page
-from risc_control.failsafe import SafetyLimits
+from risc_control.safety import SafetyLimits
 from risc_experiments.scorecard.figures import COUNTED, KEY
 from risc_experiments.scorecard.plan import GRADES
 from risc_experiments.soak import table

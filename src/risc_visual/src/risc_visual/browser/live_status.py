@@ -8,7 +8,7 @@ import html
 import math
 from collections import namedtuple
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import state_text
 from risc_visual.drawing.palette import vehicle_colour
 

@@ -4,7 +4,7 @@ import math
 
 from std_msgs.msg import Header
 
-from risc_control.failsafe import FailsafeLevel, Rule, Verdict
+from risc_control.safety import FailsafeLevel, Rule, Verdict
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 

@@ -7,7 +7,7 @@ from geometry_msgs.msg import Quaternion
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.safety import FailsafeLevel
 from risc_estimation.ros.bearing_conversions import states_from_msg
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.arena import Arena
