@@ -20,6 +20,7 @@ from risc_estimation import template_geometry as geometry
 from risc_lab.lab.templates import KINDS, VEHICLE, load_templates
 from risc_lab.ros.fleet_messages import MocapArrays
 from risc_lab.ros.params import known_fleet
+from risc_lab.ros.publisher_updates import init_node
 
 _PATIENCE_S = 10.0  # beside the time that is recorded
 
@@ -155,7 +156,7 @@ def main(argv):
     try:
         if args.out is not None and args.out.exists():
             raise ValueError("%s is there already: choose another --out" % args.out)
-        rospy.init_node("learn_template", anonymous=True)
+        init_node("learn_template", anonymous=True)
         text = learn(args)
         if args.out is None:
             print(text, end="")

@@ -20,6 +20,7 @@ from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, params_from_dict, vehicles
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import OperatorState, Safety, TakeoffRefusals, TrajectoryPhases, VehicleOut
 
@@ -226,7 +227,7 @@ def state_message(state):
 
 def main():
     send_directly()
-    rospy.init_node("operator")
+    init_node("operator")
     try:
         VirtualOperator()
     except ValueError as error:

@@ -20,6 +20,7 @@ from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params
+from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import CommandsSent, OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.ros.node import Health
@@ -108,7 +109,7 @@ def main():
     arguments = rospy.myargv()[1:]
     if arguments:
         return course_plots.main(arguments)
-    rospy.init_node("DF_Plots")
+    init_node("DF_Plots")
     try:
         DFPlots().run()
     except (ValueError, OSError) as error:

@@ -10,6 +10,7 @@ from functools import partial
 from risc_control.vehicles import Status, adapter_class
 from risc_doctor.findings import RED, YELLOW, Findings
 from risc_lab.lab import fleet_from_dict
+from risc_lab.ros.publisher_updates import init_node
 
 LISTEN_S = 2.5  # diagnostics come once a second
 _PATIENCE_S = 6.0  # for connecting and listening
@@ -102,7 +103,7 @@ def _listen(report, driven, lines, listen_s):
 
     from risc_maap_msgs.msg import SerialLink
 
-    rospy.init_node("maap_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
+    init_node("maap_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
     statuses, subscribe = {}, partial(rospy.Subscriber, tcp_nodelay=True)
 
     def on_diagnostics(message):

@@ -11,6 +11,7 @@ import rospy
 from std_srvs.srv import Trigger
 
 from risc_lab.phases import OperatorPhase, OperatorResult
+from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, MocapStatus, OperatorState
 from risc_maap_msgs.srv import InjectFault
 
@@ -33,7 +34,7 @@ class Watch:
         self.passed_over = collections.deque(maxlen=100)  # of the estimator's reports: frames
         self._refusal, self._answer_due_s = "", math.inf  # of the virtual lab, which is asked for faults
         self._operator_s = self._operator_first_s = None  # when the operator's state came: the last, the first
-        rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
+        init_node("maap_fly", disable_signals=True, disable_rostime=True)
         for topic, kind, callback in (
             ("/operator/phase", OperatorState, self._on_operator),
             ("/controller_report", ControllerReport, self._on_controller),

@@ -9,6 +9,7 @@ import rospy
 
 from risc_lab.priority import FLIGHT, raise_priority
 from risc_lab.ros.direct_connection import send_directly
+from risc_lab.ros.publisher_updates import init_node
 
 _SWITCH_INTERVAL_S = 0.0005  # the default of 5 ms is how long a timer's thread could hold up a frame
 _OMIT_TOPICS = "/rosout_disable_topics_generation"  # of every log message
@@ -22,7 +23,7 @@ def start(name, **options):
     send_directly()
     _keep_memory()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    rospy.init_node(name, **options)
+    init_node(name, **options)
     _log_without_the_master()
 
 

@@ -4,8 +4,10 @@ import sys
 
 import rospy
 
+from risc_lab.ros.publisher_updates import init_node
 
-def run(name, make, start=rospy.init_node, spin=rospy.spin):
+
+def run(name, make, start=init_node, spin=rospy.spin):
     """Make a node, and run it until shutdown; wrong parameters (ValueError) end it with one line.
 
     start, spin: those of `low_latency`, for a node between frame and command.
