@@ -2,7 +2,7 @@
 
 A node registers a subscriber and waits for the master's answer, the list of publishers. A publisher that registers
 meanwhile is announced by another thread, which may be first; rospy then goes by what came last, the answer, which does
-not name that publisher. The two are never connected, and nothing says so: one flight in some hundred did not take off.
+not name that publisher. The two are never connected, and nothing says so: a flight was seen not to take off.
 Connections are only ever added by these lists, so nothing that waits must be dropped.
 """
 
