@@ -72,7 +72,8 @@ class ReferenceBuffer:
         self._guard = ClockGuard()
         self._samples = deque()  # (stamp, sample), the newest last
         self._spacing_s = ()  # of the samples that `_fit` is for
-        self.push(0.0, np.zeros((self.sample_orders, 1, len(Axis))))  # loads what is compiled
+        for stamp_s in (0.0, 0.01):  # loads what is compiled, also what compares a sample with the last
+            self.push(stamp_s, np.zeros((self.sample_orders, 1, len(Axis))))
         self.at(np.zeros(1))
         self._guard.forget()
 
