@@ -4,7 +4,6 @@
 import sys
 from dataclasses import fields
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from data_extraction import plots
@@ -52,9 +51,7 @@ def main():
         )
         with plots.style():
             compared = ("that of type '%s'" % args.type, shipped) if shipped else None
-            figure = plots.hover_throttle(fit, "%s: throttle that hovers" % name, compared)
-            figure.savefig(picture)
-            plt.close(figure)
+            plots.save_png(plots.hover_throttle(fit, "%s: throttle that hovers" % name, compared), picture)
         print("%s\n%s\n%s" % (line, snippet, picture))
 
     return run("fit_throttle", work)

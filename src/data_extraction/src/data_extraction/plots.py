@@ -12,6 +12,8 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
 import numpy as np  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
 from matplotlib.ticker import MultipleLocator  # noqa: E402
 
 from data_extraction.flight_metrics import HOPS  # noqa: E402
@@ -51,8 +53,7 @@ def draw_all(flight, folder, title, faults=()):
     with style():
         for name, figure in _figures(flight, title, faults):
             files.append(folder / (name + ".png"))
-            figure.savefig(files[-1])
-            plt.close(figure)
+            save_png(figure, files[-1])
     return files
 
 
@@ -68,10 +69,16 @@ def _figures(flight, title, faults):
         yield "bearings", bearings(flight.bearings, title)
 
 
+def save_png(figure, path):
+    """A figure into a file; the figure is closed. `savefig` would do the same, and draw it twice."""
+    FigureCanvasAgg(figure).print_png(path)
+    plt.close(figure)
+
+
 def as_svg(figure):
     """A figure as SVG text, the same for the same figure; the figure is closed."""
     stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None})
     plt.close(figure)
     return stream.getvalue()
 
