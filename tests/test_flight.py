@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import psutil
 import pytest
 import yaml
-from flying import ROOT, end, finish, fly, judged, left_behind, start, try_to_fly, wait_for_line
+from flying import ROOT, end, finish, fly, judged, left_behind, output_of, start, try_to_fly, wait_for_line
 
 from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
@@ -211,10 +211,11 @@ def test_two_flights_at_the_same_time_beside_another_master(pair, name):
 
 def test_interrupt_lands_and_leaves_nothing(pair):
     folder, code = pair["interrupted"]
-    assert code == 1
+    told = output_of(folder)
+    assert code == 1 and "failed: landing was requested" in told, told
     with (folder / "csv" / "ground_truth.csv").open() as file:
         last = list(csv.DictReader(file))[-1]
-    assert float(last["fluffy_II.z"]) < 0.1, "the vehicle stands on the floor"
+    assert float(last["fluffy_II.z"]) < 0.1, "it does not stand on the floor:\n" + told
 
 
 def test_what_a_killed_flight_leaves_is_landed_and_ended(pair):

@@ -15,7 +15,8 @@ from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, MocapStatus, OperatorState
 from risc_maap_msgs.srv import InjectFault
 
-CALL_PATIENCE_S = 3.0  # for the operator to take the order, and for the virtual lab to take a fault
+CALL_PATIENCE_S = 5.0  # for the operator to take the order, and for the virtual lab to take a fault
+CALL_AGAIN_S = 0.2
 HEARD_S = 1.0
 
 
@@ -105,15 +106,16 @@ class Watch:
 
     def land(self):
         """Ask the operator to land everything now. Returns whether he took the order; never blocks for long."""
-        taken = threading.Event()
+        taken, deadline = threading.Event(), time.monotonic() + CALL_PATIENCE_S
 
         def call():
-            try:
-                rospy.ServiceProxy("/operator/land", Trigger)()
-            except rospy.ServiceException as error:
-                rospy.logwarn("the operator's land service failed: %s", error)
-                return
-            taken.set()
+            while not taken.is_set() and time.monotonic() < deadline:
+                try:
+                    rospy.ServiceProxy("/operator/land", Trigger)()
+                    taken.set()
+                except rospy.ServiceException as error:
+                    rospy.logwarn("the operator's land service failed: %s", error)
+                    time.sleep(CALL_AGAIN_S)
 
         threading.Thread(target=call, daemon=True).start()  # a hanging operator must not make Ctrl-C hang
         return taken.wait(CALL_PATIENCE_S)
