@@ -204,7 +204,7 @@ def test_wide_ones_keep_farther_from_one_that_is_not_seen_and_from_one_that_hold
 def test_wide_ones_land_farther_beside_each_other(wide):
     wider_m, more_m = irises(wide)
     for spare_m in (-0.02, 0.02):
-        places = {"fluffy_II": (0.0, 0.0, 1.8), "albatross": (1.2 * NEAR_M + more_m + spare_m, 0.0, 1.0)}
+        places = {"fluffy_II": (0.0, 0.0, 1.8), "albatross": (1.4 * NEAR_M + more_m + spare_m, 0.0, 1.0)}
         places["Raven"] = (0.0, 0.0, 2.2)  # makes it hold
         look = Sky(places, wider_m=wider_m).look()["fluffy_II"]
         assert look.holds and look.above == (spare_m < 0.0)
@@ -396,16 +396,35 @@ def test_one_that_is_straight_below_is_not_landed_on():
     looks = sky.look()
     assert looks["fluffy_II"].above and looks["fluffy_II"].aside == (0.0, -1.0), "nor is one that has landed"
     assert not near(looks)
-    sky.places["albatross"] = (0.0, 1.2 * NEAR_M + 0.01, 0.1)
+    sky.places["albatross"] = (0.0, 1.4 * NEAR_M + 0.01, 0.1)
     assert sky.look()["fluffy_II"] == ALONE
 
 
 @pytest.mark.parametrize(
-    ("fluffy_m", "raven_m"), [((0.0, 0.0), (-0.8, 0.0)), ((-2.1, 0.0), (1.0, 1.0)), ((0.0, 0.0), (-1.0, 0.3))]
+    ("fluffy_m", "others_m", "turn_deg"),
+    [
+        ((0.0, 0.0), ((-0.8, 0.0, 1.0),), 90.0),
+        ((0.0, 0.0), ((-1.1, 0.5, 1.0),), 45.0),
+        ((0.0, 0.0), ((-1.1, -0.5, 1.0),), -45.0),
+        ((0.0, 0.0), ((-1.0, 0.3, 0.08),), 45.0),
+        ((0.0, 0.0), ((-1.0, 0.0, 1.0), (0.0, -1.0, 1.0), (-0.8, 0.8, 0.08)), -90.0),
+        ((-2.1, 0.0), (), 90.0),
+    ],
+    ids=["in the way", "to its right", "to its left", "one that stands", "three", "the net"],
 )
-def test_nobody_goes_aside_towards_others_or_the_net(fluffy_m, raven_m):
-    sky = Sky({"fluffy_II": (*fluffy_m, 1.0), "albatross": (fluffy_m[0] + 0.2, 0.0, 0.6), "Raven": (*raven_m, 1.0)})
-    look = sky.look()["fluffy_II"]
+def test_nobody_goes_aside_towards_others_or_the_net(fluffy_m, others_m, turn_deg):
+    """But past them. The one below is beyond +x, so that away from it is -x, and a turn to the left is one to -y."""
+    places = {"fluffy_II": (*fluffy_m, 1.0), "albatross": (fluffy_m[0] + 0.2, 0.0, 0.6)}
+    look = Sky(places | {"other%d" % i: other_m for i, other_m in enumerate(others_m)}).look()["fluffy_II"]
+    turn_rad = math.radians(turn_deg)
+    assert look.above and look.aside == pytest.approx((-math.cos(turn_rad), -math.sin(turn_rad)))
+
+
+def test_one_that_is_shut_in_does_not_go_aside():
+    places = {"fluffy_II": (0.0, 0.0, 1.0), "albatross": (0.2, 0.0, 0.6)}
+    places |= {"stands%d" % i: (-0.8, 0.8 * side, 0.08) for i, side in enumerate((-1.0, 0.0, 1.0))}
+    places |= {"flies%d" % i: (0.0, 0.9 * side, 1.0) for i, side in enumerate((-1.0, 1.0))}
+    look = Sky(places).look()["fluffy_II"]
     assert look.above and look.aside == (0.0, 0.0)
 
 

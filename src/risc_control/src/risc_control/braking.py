@@ -30,7 +30,8 @@ from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
 
 TILT_RAD = math.radians(20.0)
-STOPPED_M_S = 0.05  # slower it holds its place, or is left to hold it by itself
+STOPPED_M_S = 0.05  # slower it holds its place, or is left to hold it by itself,
+_MEANWHILE_M_S = 0.1  # by which it brakes, too: what it does about a larger velocity of then comes on top
 _TILT_RAD_S = 6.0  # so fast does a command change: the board of an IRIS+ lets little more through (kSlewUsPerS)
 _BANDWIDTH = 1.5  # of the feedback, over that of the attitude loop
 _CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of an error of the velocity that one report takes away; a larger error
@@ -52,7 +53,7 @@ class Brake(NamedTuple):
     roll_rad: float  # as in `vehicles.Command`
     pitch_rad: float
     then: object  # `vehicle_pilot.OwnState` when the command takes effect
-    stopped: bool  # it would be slow, if it was told to be level now
+    stopped: bool  # it would be slow if it was told to be level now, and is not fast until then
 
 
 class Braking:
@@ -149,7 +150,7 @@ class Braking:
         if until_s - self._at_s > _WINDOW_S:
             self._go_on(until_s - 0.5 * _WINDOW_S)
         then = self._later(until_s)
-        roll_rad, pitch_rad, speed_m_s = _feedback(then, self._gains, self._sent, now_s)
+        roll_rad, pitch_rad, meanwhile_m_s, level_m_s = _feedback(then, self._gains, self._sent, now_s)
         own = self._own._replace(
             position_m=(then.north_m, -then.east_m, then.up_m),
             velocity_m_s=(then.north_m_s, -then.east_m_s, then.up_m_s),
@@ -157,7 +158,8 @@ class Braking:
             theta_rad=then.theta_rad,
             psi_rad=then.psi_rad,
         )
-        return Brake(roll_rad, pitch_rad, own, speed_m_s < STOPPED_M_S)
+        stopped = level_m_s < STOPPED_M_S and meanwhile_m_s < _MEANWHILE_M_S
+        return Brake(roll_rad, pitch_rad, own, stopped)
 
     def _begin(self):
         """From the newest state, with the rates that the commands until then have made."""
@@ -282,10 +284,11 @@ def _changed(motion, north_m, east_m, north_m_s, east_m_s):
 
 @compiled
 def _feedback(motion, gains, sent, now_s):
-    """(roll, pitch, speed): the command, and how fast it would be if it was told to be level instead."""
+    """(roll, pitch, speed, speed): the command, how fast it is, and would be if it was told to be level instead."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     forward_m_s = cosine * motion.north_m_s + sine * motion.east_m_s
     right_m_s = cosine * motion.east_m_s - sine * motion.north_m_s
+    meanwhile_m_s = math.hypot(forward_m_s, right_m_s)
     gain = gains[0]  # a tilt to the right is + roll,
     roll_rad = gain.velocity * right_m_s + gain.tilt * motion.phi_rad + gain.rate * motion.phi_rate_rad_s
     roll_rad = -clipped(roll_rad, gain.most_rad)
@@ -299,4 +302,4 @@ def _feedback(motion, gains, sent, now_s):
     roll_rad = was_rad + clipped(roll_rad - was_rad, change_rad)
     was_rad = sent.commands[last, Channel.THETA]
     pitch_rad = was_rad + clipped(pitch_rad - was_rad, change_rad)
-    return roll_rad, pitch_rad, math.hypot(forward_m_s, right_m_s)
+    return roll_rad, pitch_rad, meanwhile_m_s, math.hypot(forward_m_s, right_m_s)

@@ -40,7 +40,8 @@ _PIECES = 4  # straight ones, of a bent path
 _FLOOR_M = AIRBORNE_M + 0.2  # nobody moves down below this
 _STOPS_S = 0.5  # times the speed of moving apart: so far from the room's sides nobody is sent on
 _STILL = (0.0, 0.0, 0.0)
-_BESIDE = 1.2  # times separation_m (of two AR.Drones): so far from the one that stands below a vehicle lands
+_TURNS_RAD = tuple(math.radians(turn_deg) for turn_deg in (0.0, 45.0, -45.0, 90.0, -90.0))  # of ways aside
+_BESIDE = 1.4  # times separation_m (of two AR.Drones): so far from the one that stands below a vehicle lands
 
 
 class Cause(enum.IntEnum):
@@ -398,14 +399,28 @@ def _avoid(vehicles, i, now_s, limits_of_all):
             climb = 1 if _is_above(one, other) else -1
     if (climb > 0 and height_m > limits.high_m[2] - one.wider_m) or (climb < 0 and height_m < limits.low_m[2]):
         climb = 0
-    if above and not _is_free(vehicles, i, aside, _BESIDE * limits.separation_m - beside_m, now_s, limits):
-        aside = (0.0, 0.0)
+    if above:
+        aside = _free_way(vehicles, i, aside, beside_m, now_s, limits)
     return climb, above, aside
 
 
 @compiled
+def _free_way(vehicles, i, away, level_m, now_s, limits):
+    """Direction, as near to `away` as it can be, in which a vehicle gets far enough from the one below it, whose level
+    distance counts `level_m`; (0, 0): there is none.
+    """
+    for turn_rad in _TURNS_RAD:
+        cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
+        aside = cosine * away[0] - sine * away[1], sine * away[0] + cosine * away[1]
+        distance_m = math.sqrt((_BESIDE * limits.separation_m) ** 2 - (level_m * sine) ** 2) - level_m * cosine
+        if _is_free(vehicles, i, aside, distance_m, now_s, limits):
+            return aside
+    return 0.0, 0.0
+
+
+@compiled
 def _is_free(vehicles, i, aside, distance_m, now_s, limits):
-    """Whether a vehicle can go so far to one side, at the speed of moving apart, and stop there."""
+    """Whether a vehicle can go so far to one side, at the speed of moving apart, stop there, and land."""
     one, speed_m_s = vehicles[i], limits.separation_speed_m_s
     for axis in range(2):
         end_m = one.position_m[axis] + distance_m * aside[axis]
@@ -416,7 +431,13 @@ def _is_free(vehicles, i, aside, distance_m, now_s, limits):
     for j in range(len(vehicles)):
         other = vehicles[j]
         unseen_s = now_s - other.seen_s
-        if i == j or unseen_s > limits.separation_forget_s or not _flies(other):
+        if i == j or unseen_s > limits.separation_forget_s:
+            continue
+        x, y = one.position_m[0] - other.position_m[0], one.position_m[1] - other.position_m[1]
+        end_m = math.hypot(x + distance_m * aside[0], y + distance_m * aside[1]) - _wider(one, other)
+        if end_m < min(math.hypot(x, y) - _wider(one, other), _BESIDE * limits.separation_m) - 1e-9:
+            return False
+        if not _flies(other):
             continue
         is_unseen = unseen_s > limits.state_hold_s
         here_m = _nearest_straight(one, _STILL, other, _STILL, is_unseen, 0.0)

@@ -17,7 +17,7 @@ from risc_control.failsafe import SafetyLadder
 from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, HAS_PILOT, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
-from risc_control.safety import LOSSES, FailsafeLevel, Rule, SafetyLimits
+from risc_control.safety import FailsafeLevel, Rule, SafetyLimits
 from risc_control.separation import ALONE
 from risc_control.vehicles import (
     NO_EVIDENCE,
@@ -38,7 +38,6 @@ _ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
-_HELD_BEFORE = LOSSES | {Rule.SEPARATION}
 _STOPS_S = 1.0  # in which it stops, at the most, before it lands
 _WAITS_S = 0.05  # a state that is only late comes within so long: until then it is level, and not braked
 _TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
@@ -650,10 +649,8 @@ class VehiclePilot:
             self._order_landing(orders, now_s)
 
     def _brakes(self, now_s):
-        """Whether it is to stop before it lands: in its own landing an AR.Drone takes a metre for that. One that has
-        lost what it flies on, or keeps away from others, was braked before.
-        """
-        takes = self._hover is None and self._takes_commands() and self.ladder.verdict.rule not in _HELD_BEFORE
+        """Whether it is to stop before it lands: in its own landing an AR.Drone takes a metre for that."""
+        takes = self._hover is None and self._takes_commands()
         brake = self._braking.command(now_s) if takes and now_s - self._risen_s < _STOPS_S else None
         if brake is None or brake.stopped:
             return False
