@@ -54,7 +54,7 @@ def test_faults_on_programs_are_refused():
         flown(["node_kill:controller@1"], ("ardrone",))
 
 
-@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+@pytest.mark.parametrize("kind", ["ardrone", pytest.param("iris", marks=pytest.mark.release)])
 @pytest.mark.parametrize("faults", PASSING.values(), ids=PASSING)
 def test_they_are_flown_through(faults, kind):
     """By one on its own, which nobody's holding lands."""

@@ -42,7 +42,7 @@ class OperatorParams(Settings):
     bumper: Count = 5  # button: next figure (DF_experiment_joy.py)
     bumper_steps: Count = 0  # how often the bumper is pressed on the course; 0 = the course needs none
     duration: NotNegative = 40.0  # [s] on the course; with bumper steps: on each figure
-    rest: NotNegative = 8.0  # [s] at the origin before each figure, with bumper steps
+    rest: NotNegative = 8.0  # [s] at the origin before each figure, with bumper steps; never longer than a figure
     settle: NotNegative = 2.0  # [s] hovering before the course
     ready: NotNegative = 0.5  # [s] everything must have been ready for so long before take-off
     seen_timeout: NotNegative = 0.3  # [s] mocap
@@ -54,6 +54,11 @@ class OperatorParams(Settings):
     home_timeout: NotNegative = 40.0  # [s] until all are home
     land_timeout: NotNegative = 30.0  # [s] until all stand
 
+    @property
+    def rest_s(self):
+        """At the origin [s]."""
+        return min(self.rest, self.duration)
+
     def __post_init__(self):
         super().__post_init__()
         if len({self.JoytoWay, self.TakeoffLand, self.bumper}) < 3:
@@ -64,7 +69,7 @@ def course_s(params):
     """How long vehicles stay on their course, or with bumper steps: on all figures and before each of them."""
     steps = params.bumper_steps
     figures = (steps + 1) // 2  # every other stay, the origin is the first
-    return figures * params.duration + (steps + 1 - figures) * params.rest if steps else params.duration
+    return figures * params.duration + (steps + 1 - figures) * params.rest_s if steps else params.duration
 
 
 def time_limit_s(params):
@@ -313,7 +318,7 @@ class Operator:
         params = self._params
         done = params.bumper_steps - self._steps_left
         on_figure = done % 2 == 1
-        if now_s - self._step_since_s < (params.duration if on_figure else params.rest):
+        if now_s - self._step_since_s < (params.duration if on_figure else params.rest_s):
             return
         if not self._steps_left:
             self._enter(Phase.HOME, now_s)
