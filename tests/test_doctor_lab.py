@@ -31,6 +31,7 @@ from risc_simulator.virtual_lab import VirtualLab
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PATIENCE_S = 40.0
+GRAPH_HZ = 50.0  # of motion capture and references: the nodes are asked whether they run
 
 
 def free_udp_port():
@@ -279,8 +280,9 @@ def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, mo
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     with reserved_fleet() as fleet:
         path = tmp_path / "flown.yaml"
-        path.write_text(yaml.safe_dump(fleet.to_dict()))
-        settings = {"fleet": path, "vehicles": "risc1", "operator": "false"}
+        slower = dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, rate_hz=GRAPH_HZ))
+        path.write_text(yaml.safe_dump(slower.to_dict()))
+        settings = {"fleet": path, "vehicles": "risc1", "operator": "false", "rate": GRAPH_HZ}
         launch = Launch(ROOT / "launch" / "circles3.launch", settings, tmp_path, port)
         try:
             wait_until(lambda: launch.running() and everything_comes(tmp_path), "the graph does not start")

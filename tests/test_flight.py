@@ -132,7 +132,7 @@ def test_nothing_is_left_running(circles):
 # ---------------------------------------------------------------- two at the same time
 
 # What each flies: a heading, also one that the original never flew.
-COURSES = {"interrupted": ("circle", 135.0), "killed": ("slanted8", -70.0)}
+COURSES = {"interrupted": ("flat8", 135.0), "killed": ("slanted8", -70.0)}
 ON_COURSE_S = 4.0
 
 
@@ -249,7 +249,9 @@ def test_df_demo_flies_its_figures(tmp_path):
 
 def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
     """Thesis 7.12: cameras, navdata, bearings, regions, inputs, transforms, trajectories, truth, landmarks."""
-    code, output, summary, folder = fly(tmp_path, "coop", "--vehicles", "2", "--duration", "12", "--fps", "8")
+    code, output, summary, folder = fly(
+        tmp_path, "coop", "--vehicles", "2", "--duration", "8", "--fps", "8", "--mocap-rate", "100"
+    )
     assert code == 0, output
     bearings = summary["bearings"]["vehicles"]
     assert set(bearings) == {"fluffy_II", "albatross"}

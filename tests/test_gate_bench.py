@@ -27,6 +27,7 @@ def arms(tmp_path_factory):
     return found
 
 
+@pytest.mark.release
 def test_the_figures_that_scripts_rely_on(arms):
     found = arms["on"]
     assert set(found["detected_first_frame"]) == {"swap", "flip", "exchange", "jump"}
@@ -39,6 +40,7 @@ def test_the_figures_that_scripts_rely_on(arms):
     assert set(found["nees_of"]) == {"position", "velocity", "angles", "rates"}
 
 
+@pytest.mark.release
 def test_without_the_gate_what_is_false_is_taken(arms):
     found, control = (arms[gate]["detected_first_frame"] for gate in ("on", "off"))
     assert min(found["flip"], found["exchange"], found["jump"]) > 0.9

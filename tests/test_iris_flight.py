@@ -74,7 +74,7 @@ def last_before(path, topic, before_s):
 
 
 def test_the_figures_of_chapter_6(tmp_path):
-    code, output, summary, folder = fly(tmp_path, "iris", "--duration", "5")
+    code, output, summary, folder = fly(tmp_path, "iris", "--duration", "5", "--mocap-rate", "100")
     assert code == 0, output
     assert summary["vehicles"]["IRIS"]["position_rmse_m"] < RMSE_LIMIT_M
     with Bag(folder / "flight.bag") as bag:

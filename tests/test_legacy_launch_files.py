@@ -30,7 +30,7 @@ FOLDER = ROOT / "launch/legacy"
 PAGE = ROOT / "docs/legacy_launch_files.md"
 STARTED_S = 300.0  # until a graph is complete, on a computer that does much else
 FLOWN_S = 150.0  # until a flight has ended, the same
-SOME = ("DF_Demo_sim", "test_DF")  # the lab and the plots; an IRIS+
+SOME = ("test_DF",)  # an IRIS+
 FLOWN = "Hows_sim"  # from take-off to landing, which the others are not
 STILL_S = 0.7  # a graph that has not changed for so long is complete
 

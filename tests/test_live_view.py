@@ -28,6 +28,7 @@ from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marke
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross"}
+RATE_HZ = 100.0  # of motion capture and references: the browser needs the time
 DRAWING = ("draw_risc_maap", "draw_cortex", "draw_trajectories", "draw_angles")
 FLOWN_ON_S = 2.0  # without those: time enough for the ladder to land it four times over
 PATIENCE_S = 300.0  # for what takes seconds on a computer with time
@@ -74,12 +75,14 @@ class Flight:
     def __init__(self, folder):
         self._reservation = PortReservation()
         fleet = load_fleet(ROOT / "launch/fleets/ardrones3.yaml").with_vehicles(len(VEHICLES))
-        (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.in_subnet(self._reservation.subnet).to_dict()))
+        settings = fleet.in_subnet(self._reservation.subnet).to_dict()
+        settings["mocap"]["rate_hz"] = RATE_HZ
+        (folder / "fleet.yaml").write_text(yaml.safe_dump(settings))
         self.bag, self.port, master_port = folder / "flight.bag", free_tcp_port(), free_tcp_port()
         self._statistics = folder / "virtual_lab.json"
         self.master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % master_port)
         given = {"fleet": folder / "fleet.yaml", "vehicles": " ".join(VEHICLES), "bag": self.bag, "port": self.port}
-        given["statistics"] = self._statistics
+        given |= {"statistics": self._statistics, "rate": RATE_HZ}
         self.launch = Launch(ROOT / "tests/live_view.launch", given, folder, master_port)
 
     def log(self):

@@ -43,6 +43,7 @@ def test_rows_as_bench_writes_them(tmp_path, monkeypatch, capfd):
     assert "seconds per second" in capfd.readouterr().out
 
 
+@pytest.mark.release
 def test_a_row_that_fails_keeps_its_keys_and_is_told(tmp_path, monkeypatch, capfd):
     path = tmp_path / "figures.json"
     options = ["--kinds", "offline", "--vehicles", "1", "251", "--seconds", "1", "--load", "quiet", "--json", str(path)]

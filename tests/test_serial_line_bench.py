@@ -11,6 +11,7 @@ import serial_line as bench
 from rosserial_python import link
 
 
+@pytest.mark.release
 def test_every_figure_is_there(tmp_path):
     file = tmp_path / "figures.json"
     program = [sys.executable, str(pathlib.Path(bench.__file__)), "--trials", "40", "--messages", "20"]

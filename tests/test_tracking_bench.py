@@ -21,6 +21,7 @@ def rows(folder, *options):
     return json.loads(file.read_text(encoding="utf-8"))["rows"]
 
 
+@pytest.mark.release
 def test_rows_in_calm_air_and_in_gusts(tmp_path, capsys):
     calm, gusty = rows(tmp_path, "--plant", "nominal"), rows(tmp_path, "--plant", "nominal", "--gust", "0.1")
     for row in (*calm, *gusty):
@@ -56,6 +57,7 @@ def arguments(**given):
     return type("Arguments", (), words)
 
 
+@pytest.mark.release
 def test_the_limit_is_that_of_what_is_flown():
     flight = bench.flight_of(arguments(gust=0.1, delay=0.2))
     assert flight.gusts.push_m_s2 == 0.1 and flight.gusts.time_s == 0.5 and not flight.perturbed

@@ -30,6 +30,7 @@ def test_a_document_with_one_mark_is_refused_and_stays(tmp_path, document):
     assert path.read_text(encoding="utf-8") == document
 
 
+@pytest.mark.release
 def test_a_small_run_writes_everything_and_reaches_the_aims_of_accuracy(tmp_path):
     command = [sys.executable, str(PROGRAM), "--count", "40", "--seed", "7", "--json", str(tmp_path / "figures.json")]
     command += ["--markdown", str(tmp_path / "vision.md"), "--pictures", str(tmp_path / "pictures")]

@@ -94,7 +94,9 @@ def none_m():
     return drifts_m(reports=False)
 
 
-@pytest.mark.parametrize("happens", [are_late, are_stuck, are_not_numbers])
+@pytest.mark.parametrize(
+    "happens", [are_late, *(pytest.param(other, marks=pytest.mark.release) for other in (are_stuck, are_not_numbers))]
+)
 def test_reports_of_no_use_do_no_harm(happens, none_m):
     useless_m = drifts_m(happens)
     assert (np.median(useless_m, axis=1) < np.median(none_m, axis=1) + 0.01).all()

@@ -54,7 +54,7 @@ class VehicleFleetTest(unittest.TestCase):
         self.world.y_m, self.world.strays, self.world.passers = dict(self.y_m), set(), {}
         self.world.flight_state = dict.fromkeys(TEMPLATES, LANDED)
 
-    def check_that_others_fly_on(self, count=60):
+    def check_that_others_fly_on(self, count=30):
         """Both, the quick controller's vehicle and the slow one's, are commanded as often as before."""
         world = self.world
         world.forget()

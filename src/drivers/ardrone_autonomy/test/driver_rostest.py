@@ -58,6 +58,155 @@ def answer_times_s(drone, driver, prefix, count=20):
     return times_s
 
 
+class OneDriverTest(unittest.TestCase):
+    """What the same driver does, one after the other."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.drone, cls.driver = cls.enterClassContext(flying_lab())
+
+    def tearDown(self):
+        self.driver.publish("ardrone/land", Empty())
+        wait_for(lambda: self.drone.phase is ControlState.LANDED, "landed")
+
+    def test_configuration(self):
+        drone = self.drone
+        keys = [key for key, _, _ in drone.writes]
+        self.assertEqual(keys[0], "general:navdata_demo")
+        self.assertIn(("control:outdoor", "FALSE"), [write[:2] for write in drone.writes])
+        self.assertNotIn("control:altitude_max", keys)  # no parameter
+        self.assertAlmostEqual(drone.configuration.get("control:euler_angle_max"), 0.349066)
+        self.assertEqual(drone.configuration.get("detect:enemy_colors"), 3)
+        self.assertEqual(drone.configuration.get("general:navdata_options"), 2**28 - 1)
+        self.assertEqual(drone.configuration.get("video:max_bitrate"), 4000)
+        self.assertIs(drone.configuration.get("general:navdata_demo"), False)
+
+    def test_emergency_and_reset(self):
+        drone, driver = self.drone, self.driver
+        diagnostics = driver.subscribe("/diagnostics", DiagnosticArray)
+        take_off(drone, driver)
+        driver.publish("ardrone/reset", Empty())
+        wait_for(lambda: drone.emergency, "emergency")
+        wait_for(lambda: drone.named("REF")[-1][1].arguments[0] == at.Ref.PADDING, "both bits to drop")
+        wait_for(
+            lambda: any(
+                "emergency" in s.message for m in list(diagnostics) for s in m.status if driver.namespace[1:] in s.name
+            ),
+            "the emergency on /diagnostics",
+        )
+        driver.publish("ardrone/takeoff", Empty())  # refused
+        time.sleep(0.5)  # nothing keeps the order between topics
+        driver.publish("ardrone/reset", Empty())
+        wait_for(lambda: not drone.emergency, "the emergency to be cleared")
+        time.sleep(0.3)
+        self.assertIs(drone.phase, ControlState.LANDED)
+        take_off(drone, driver)
+
+    def test_flight(self):
+        drone, driver = self.drone, self.driver
+        take_off(drone, driver)
+        wait_for(lambda: driver.newest("ardrone/navdata").state == 4, "state 4 in navdata")
+        driver.publish("cmd_vel", Twist(linear=Vector3(0.1, 0.2, 0.3), angular=Vector3(0, 0, 0.4)))
+        wait_for(lambda: drone.phase is ControlState.FLYING, "flying")
+        flags, roll, pitch, gaz, yaw = drone.sticks()
+        self.assertEqual(flags, 1)
+        for value, expected in ((roll, -0.2), (pitch, -0.1), (gaz, 0.3), (yaw, -0.4)):
+            self.assertAlmostEqual(value, expected, places=6)
+        driver.publish("cmd_vel", Twist(linear=Vector3(float("nan"), 0, 0)))
+        wait_for(lambda: drone.sticks()[0] == 0, "hover after a command that is not finite")
+        driver.publish("ardrone/land", Empty())
+        wait_for(lambda: drone.phase is ControlState.LANDED, "landed")
+        wait_for(lambda: driver.newest("ardrone/navdata").state == 2, "state 2 in navdata")
+
+    def test_services(self):
+        drone, driver = self.drone, self.driver
+        self.assertTrue(driver.call("setcamchannel", CamSelect, 3).result)
+        wait_for(lambda: drone.configuration.get("video:video_channel") == 1, "the bottom camera")
+        driver.call("togglecam", EmptySrv)
+        wait_for(lambda: drone.configuration.get("video:video_channel") == 0, "the front camera")
+        self.assertTrue(driver.call("setledanimation", LedAnim, 12, -2.0, 3).result)
+        wait_for(lambda: drone.named("LED"), "LED")
+        self.assertEqual(drone.named("LED")[-1][1].arguments, (19, 2.0, 3))
+        self.assertFalse(driver.call("setledanimation", LedAnim, 0, float("nan"), 3).result)
+        self.assertTrue(driver.call("setflightanimation", FlightAnim, 6, 0).result)
+        wait_for(lambda: ("control:flight_anim", "6,5000") in [w[:2] for w in drone.writes], "flight_anim")
+        self.assertTrue(driver.call("setrecord", RecordEnable, True).result)
+        wait_for(lambda: drone.configuration.get("userbox:userbox_cmd").startswith("1,20"), "recording")
+        self.assertEqual(drone.configuration.get("video:video_codec"), 130)
+        driver.call("flattrim", EmptySrv)
+        wait_for(lambda: drone.named("FTRIM"), "FTRIM")
+        take_off(drone, driver)
+        wait_for(lambda: driver.newest("ardrone/navdata").state == 4, "state 4 in navdata")
+        with self.assertRaises(rospy.ServiceException):
+            driver.call("flattrim", EmptySrv)
+        self.assertEqual(len(drone.named("FTRIM")), 1)
+
+    def test_telemetry(self):
+        drone, driver = self.drone, self.driver
+        drone.options = {
+            Tag.DEMO: {
+                "theta": 2000.0,
+                "phi": 1000.0,
+                "psi": 3000.0,
+                "altitude": 700,
+                "vx": 100.0,
+                "vy": 200.0,
+                "vz": 300.0,
+            },
+            Tag.PHYS_MEASURES: {"phys_accs": (10.0, 20.0, -1000.0), "phys_gyros": (1.0, 2.0, 3.0)},
+            Tag.MAGNETO: {"mx": 0, "my": 3, "mz": 4, "magneto_raw": (1.0, 2.0, 3.0)},
+            Tag.TIME: {"time": 5 << 21 | 250000},
+        }
+        driver.subscribe("ardrone/imu", Imu)
+        driver.subscribe("ardrone/mag", Vector3Stamped)
+        driver.subscribe("ardrone/odometry", Odometry)
+        driver.subscribe("ardrone/navdata_demo", navdata_demo)
+        driver.subscribe("ardrone/navdata_magneto", navdata_magneto)
+        frames = driver.subscribe("/tf", TFMessage)
+        topics = set(driver.received) - {"/diagnostics"}
+        for topic in topics:
+            wait_for(lambda topic=topic: len(driver.received[topic]) > 5, topic)
+        wait_for(lambda: driver.newest("ardrone/navdata").altd == 700, "the new values")
+        counts = {topic: len(driver.received[topic]) for topic in topics}
+        for topic, count in counts.items():  # what was under way on other topics is older
+            wait_for(lambda t=topic, n=count: len(driver.received[t]) > n + 25, "later messages on " + topic)
+        navdata, imu, mag, odometry, demo, magneto = (
+            driver.newest("ardrone/" + name)
+            for name in ("navdata", "imu", "mag", "odometry", "navdata_demo", "navdata_magneto")
+        )
+        for value, expected in (
+            (navdata.rotX, 1.0),
+            (navdata.rotY, -2.0),
+            (navdata.rotZ, -3.0),
+            (navdata.vy, -200.0),
+            (navdata.az, 1.0),
+            (navdata.batteryPercent, 87.0),
+            (imu.linear_acceleration.z, 9.8),
+            (imu.angular_velocity.y, -0.0349066),
+            (mag.vector.y, 0.6),
+            (mag.vector.z, 0.8),
+            (odometry.twist.twist.linear.y, -0.2),
+            (odometry.pose.pose.position.z, 0.7),
+            (demo.theta, 2000.0),
+            (demo.vy, 200.0),
+            (demo.drone_time, 5.25),
+            (magneto.magneto_raw.z, 3.0),
+        ):
+            self.assertAlmostEqual(value, expected, places=5)
+        self.assertEqual(imu.linear_acceleration_covariance, (1, 0, 0, 0, 2, 0, 0, 0, 3))
+        self.assertEqual((demo.tag, demo.size), (0, 148))
+        base = "lab/ardrone_base_link"
+        self.assertEqual(
+            (navdata.header.frame_id, odometry.header.frame_id, odometry.child_frame_id), (base, "odom", base)
+        )
+        self.assertLess(abs((rospy.Time.now() - navdata.header.stamp).to_sec()), LIMIT_S)
+        wait_for(
+            lambda: {("odom", base), (base, "lab/ardrone_base_frontcam"), (base, "lab/ardrone_base_bottomcam")}
+            <= {(t.header.frame_id, t.child_frame_id) for m in list(frames) for t in m.transforms},
+            "all frames",
+        )
+
+
 class DriverTest(unittest.TestCase):
     def test_one_vehicles_trouble_never_delays_another(self):
         """One driver for three: of one link nothing comes back, one brings 1000 datagrams of garbage a second."""
@@ -96,98 +245,6 @@ class DriverTest(unittest.TestCase):
                 count = len(telemetry[name])
                 wait_for(lambda name=name, count=count: len(telemetry[name]) > count + 20, "navdata of " + name)
 
-    def test_flight(self):
-        with flying_lab() as (drone, driver):
-            take_off(drone, driver)
-            wait_for(lambda: driver.newest("ardrone/navdata").state == 4, "state 4 in navdata")
-            driver.publish("cmd_vel", Twist(linear=Vector3(0.1, 0.2, 0.3), angular=Vector3(0, 0, 0.4)))
-            wait_for(lambda: drone.phase is ControlState.FLYING, "flying")
-            flags, roll, pitch, gaz, yaw = drone.sticks()
-            self.assertEqual(flags, 1)
-            for value, expected in ((roll, -0.2), (pitch, -0.1), (gaz, 0.3), (yaw, -0.4)):
-                self.assertAlmostEqual(value, expected, places=6)
-            driver.publish("cmd_vel", Twist(linear=Vector3(float("nan"), 0, 0)))
-            wait_for(lambda: drone.sticks()[0] == 0, "hover after a command that is not finite")
-            driver.publish("ardrone/land", Empty())
-            wait_for(lambda: drone.phase is ControlState.LANDED, "landed")
-            wait_for(lambda: driver.newest("ardrone/navdata").state == 2, "state 2 in navdata")
-
-    def test_configuration(self):
-        with flying_lab() as (drone, _):
-            keys = [key for key, _, _ in drone.writes]
-            self.assertEqual(keys[0], "general:navdata_demo")
-            self.assertIn(("control:outdoor", "FALSE"), [write[:2] for write in drone.writes])
-            self.assertNotIn("control:altitude_max", keys)  # no parameter
-            self.assertAlmostEqual(drone.configuration.get("control:euler_angle_max"), 0.349066)
-            self.assertEqual(drone.configuration.get("detect:enemy_colors"), 3)
-            self.assertEqual(drone.configuration.get("general:navdata_options"), 2**28 - 1)
-            self.assertEqual(drone.configuration.get("video:max_bitrate"), 4000)
-            self.assertIs(drone.configuration.get("general:navdata_demo"), False)
-
-    def test_telemetry(self):
-        with flying_lab() as (drone, driver):
-            drone.options = {
-                Tag.DEMO: {
-                    "theta": 2000.0,
-                    "phi": 1000.0,
-                    "psi": 3000.0,
-                    "altitude": 700,
-                    "vx": 100.0,
-                    "vy": 200.0,
-                    "vz": 300.0,
-                },
-                Tag.PHYS_MEASURES: {"phys_accs": (10.0, 20.0, -1000.0), "phys_gyros": (1.0, 2.0, 3.0)},
-                Tag.MAGNETO: {"mx": 0, "my": 3, "mz": 4, "magneto_raw": (1.0, 2.0, 3.0)},
-                Tag.TIME: {"time": 5 << 21 | 250000},
-            }
-            driver.subscribe("ardrone/imu", Imu)
-            driver.subscribe("ardrone/mag", Vector3Stamped)
-            driver.subscribe("ardrone/odometry", Odometry)
-            driver.subscribe("ardrone/navdata_demo", navdata_demo)
-            driver.subscribe("ardrone/navdata_magneto", navdata_magneto)
-            frames = driver.subscribe("/tf", TFMessage)
-            for topic in driver.received:
-                wait_for(lambda topic=topic: len(driver.received[topic]) > 5, topic)
-            wait_for(lambda: driver.newest("ardrone/navdata").altd == 700, "the new values")
-            counts = {topic: len(messages) for topic, messages in driver.received.items()}
-            for topic, count in counts.items():  # what was under way on other topics is older
-                wait_for(lambda t=topic, n=count: len(driver.received[t]) > n + 25, "later messages on " + topic)
-            navdata, imu, mag, odometry, demo, magneto = (
-                driver.newest("ardrone/" + name)
-                for name in ("navdata", "imu", "mag", "odometry", "navdata_demo", "navdata_magneto")
-            )
-            for value, expected in (
-                (navdata.rotX, 1.0),
-                (navdata.rotY, -2.0),
-                (navdata.rotZ, -3.0),
-                (navdata.vy, -200.0),
-                (navdata.az, 1.0),
-                (navdata.batteryPercent, 87.0),
-                (imu.linear_acceleration.z, 9.8),
-                (imu.angular_velocity.y, -0.0349066),
-                (mag.vector.y, 0.6),
-                (mag.vector.z, 0.8),
-                (odometry.twist.twist.linear.y, -0.2),
-                (odometry.pose.pose.position.z, 0.7),
-                (demo.theta, 2000.0),
-                (demo.vy, 200.0),
-                (demo.drone_time, 5.25),
-                (magneto.magneto_raw.z, 3.0),
-            ):
-                self.assertAlmostEqual(value, expected, places=5)
-            self.assertEqual(imu.linear_acceleration_covariance, (1, 0, 0, 0, 2, 0, 0, 0, 3))
-            self.assertEqual((demo.tag, demo.size), (0, 148))
-            base = "lab/ardrone_base_link"
-            self.assertEqual(
-                (navdata.header.frame_id, odometry.header.frame_id, odometry.child_frame_id), (base, "odom", base)
-            )
-            self.assertLess(abs((rospy.Time.now() - navdata.header.stamp).to_sec()), LIMIT_S)
-            wait_for(
-                lambda: {("odom", base), (base, "lab/ardrone_base_frontcam"), (base, "lab/ardrone_base_bottomcam")}
-                <= {(t.header.frame_id, t.child_frame_id) for m in list(frames) for t in m.transforms},
-                "all frames",
-            )
-
     def test_navdata_rate_is_that_of_the_loop(self):
         with flying_lab(looprate=25) as (_, driver):
             navdata, begin_s = driver.received["ardrone/navdata"], time.monotonic()
@@ -204,53 +261,6 @@ class DriverTest(unittest.TestCase):
             wait_for(lambda: drone.packets - sent_before >= 800, "packets of the vehicle")
             # The loop alone would publish a quarter of them; a busy computer holds back what it sent last.
             self.assertGreater(len(navdata) - before, 0.5 * (drone.packets - sent_before))
-
-    def test_services(self):
-        with flying_lab() as (drone, driver):
-            self.assertTrue(driver.call("setcamchannel", CamSelect, 3).result)
-            wait_for(lambda: drone.configuration.get("video:video_channel") == 1, "the bottom camera")
-            driver.call("togglecam", EmptySrv)
-            wait_for(lambda: drone.configuration.get("video:video_channel") == 0, "the front camera")
-            self.assertTrue(driver.call("setledanimation", LedAnim, 12, -2.0, 3).result)
-            wait_for(lambda: drone.named("LED"), "LED")
-            self.assertEqual(drone.named("LED")[-1][1].arguments, (19, 2.0, 3))
-            self.assertFalse(driver.call("setledanimation", LedAnim, 0, float("nan"), 3).result)
-            self.assertTrue(driver.call("setflightanimation", FlightAnim, 6, 0).result)
-            wait_for(lambda: ("control:flight_anim", "6,5000") in [w[:2] for w in drone.writes], "flight_anim")
-            self.assertTrue(driver.call("setrecord", RecordEnable, True).result)
-            wait_for(lambda: drone.configuration.get("userbox:userbox_cmd").startswith("1,20"), "recording")
-            self.assertEqual(drone.configuration.get("video:video_codec"), 130)
-            driver.call("flattrim", EmptySrv)
-            wait_for(lambda: drone.named("FTRIM"), "FTRIM")
-            take_off(drone, driver)
-            wait_for(lambda: driver.newest("ardrone/navdata").state == 4, "state 4 in navdata")
-            with self.assertRaises(rospy.ServiceException):
-                driver.call("flattrim", EmptySrv)
-            self.assertEqual(len(drone.named("FTRIM")), 1)
-
-    def test_emergency_and_reset(self):
-        with flying_lab() as (drone, driver):
-            diagnostics = driver.subscribe("/diagnostics", DiagnosticArray)
-            take_off(drone, driver)
-            driver.publish("ardrone/reset", Empty())
-            wait_for(lambda: drone.emergency, "emergency")
-            wait_for(lambda: drone.named("REF")[-1][1].arguments[0] == at.Ref.PADDING, "both bits to drop")
-            wait_for(
-                lambda: any(
-                    "emergency" in s.message
-                    for m in list(diagnostics)
-                    for s in m.status
-                    if driver.namespace[1:] in s.name
-                ),
-                "the emergency on /diagnostics",
-            )
-            driver.publish("ardrone/takeoff", Empty())  # refused
-            time.sleep(0.5)  # nothing keeps the order between topics
-            driver.publish("ardrone/reset", Empty())
-            wait_for(lambda: not drone.emergency, "the emergency to be cleared")
-            time.sleep(0.3)
-            self.assertIs(drone.phase, ControlState.LANDED)
-            take_off(drone, driver)
 
     def test_one_packet_that_cannot_be_published_does_not_end_the_flight(self):
         with flying_lab() as (drone, driver):
@@ -334,6 +344,11 @@ class DriverTest(unittest.TestCase):
             self.assertEqual(driver.end(), 1)
 
 
+def all_tests():
+    load = unittest.defaultTestLoader.loadTestsFromTestCase
+    return unittest.TestSuite(map(load, (OneDriverTest, DriverTest)))
+
+
 if __name__ == "__main__":
     rospy.init_node("driver_test", anonymous=True)
-    rostest.rosrun("ardrone_autonomy", "ardrone_driver", DriverTest, sys.argv)
+    rostest.rosrun("ardrone_autonomy", "ardrone_driver", "driver_rostest.all_tests", sys.argv)
