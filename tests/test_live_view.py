@@ -89,7 +89,7 @@ class Flight:
         return self.launch.log_path.read_text(errors="replace")
 
     def log_says_that_it_failed(self):
-        return "operator: result failed" in self.log()
+        return any(words in self.log() for words in ("operator: result failed", "landed by its loss ladder"))
 
     def summary(self):
         """As far as it tells whether the computer had time; {} when the lab has not ended by itself."""
