@@ -730,7 +730,9 @@ def test_its_own_velocity_counts_where_its_bottom_camera_sees_the_floor(sees_the
         report = status(SimpleNamespace(state=FlightState.FLYING, batteryPercent=90.0, vx=1.0, vy=-1.0))
         desk.pilot.on_status(report, desk.now_s)
         desk.run(0.005)
-    assert (min(sticks.forward for _, sticks, _ in desk.run(0.2)) > -0.6) == sees_the_floor
+    told = [sticks for _, sticks, _ in desk.run(0.3)]
+    assert (told[-1] == Sticks(0.0, 0.0, 0.0, 0.0)) == sees_the_floor, "slow by what it says: left to its own hover"
+    assert (min(sticks.forward for sticks in told) > -0.6) == sees_the_floor, "else braked in full"
 
 
 def test_commands_that_are_no_numbers_are_as_silence_and_named():
