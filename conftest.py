@@ -1,5 +1,7 @@
 """For all tests: the first tier and the second, which only --all runs; and no stopwatch on what hypothesis makes up."""
 
+import gc
+
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -18,6 +20,17 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     settings.load_profile(SECOND if config.getoption("all") else FIRST)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Tests live as long as the session: to look for garbage among them takes a fifth of the time, here and later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 import functools
 import pathlib
+import runpy
 import subprocess
 import sys
 
@@ -53,26 +54,23 @@ def show(tmp_path_factory):
     return of
 
 
-def calibrate(source, out, *arguments):
-    done = subprocess.run(
-        [
-            sys.executable,
-            str(CALIBRATE),
-            str(source),
-            "--size",
-            "8x6",
-            "--square",
-            "0.025",
-            "--out",
-            str(out),
-            *arguments,
-        ],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return load_calibration(str(out)), done.stdout
+def arguments_of(source, out, *others):
+    return [str(CALIBRATE), str(source), "--size", "8x6", "--square", "0.025", "--out", str(out), *others]
+
+
+@pytest.fixture(scope="module")
+def found(show, tmp_path_factory):
+    """found(name): what calibrate.py, started as a user does, makes of the folder, its file, and what it said."""
+
+    @functools.cache
+    def of(name):
+        out = tmp_path_factory.mktemp("found") / "found.yaml"
+        command = [sys.executable, *arguments_of(show(name)[1], out, "--name", "ardrone_front")]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        return load_calibration(str(out)), out, done.stdout
+
+    return of
 
 
 def intrinsics_error(K, camera):
@@ -97,14 +95,14 @@ def point_errors_px(calibration, camera):
 
 
 @pytest.mark.parametrize("lens", CAMERAS)
-def test_calibrate_recovers_the_camera(show, lens, tmp_path):
-    camera, folder, _ = show(lens)
-    calibration, text = calibrate(folder, tmp_path / "found.yaml", "--name", "ardrone_front")
+def test_calibrate_recovers_the_camera(show, found, lens):
+    camera, _, _ = show(lens)
+    calibration, file, text = found(lens)
     assert "reprojection error" in text and "warning" not in text, text
     assert (calibration.name, calibration.width_px, calibration.height_px) == ("ardrone_front", 640, 360)
     assert intrinsics_error(calibration.K, camera) < INTRINSICS_LIMIT
     assert point_errors_px(calibration, camera).max() < POINT_LIMIT_PX
-    name, info = camera_calibration_parsers.readCalibration(str(tmp_path / "found.yaml"))  # as the driver reads it
+    name, info = camera_calibration_parsers.readCalibration(str(file))  # as the driver reads it
     assert (name, tuple(info.K), tuple(info.D), tuple(info.P)) == (
         (calibration.name, calibration.K, calibration.D, calibration.P)
     )
@@ -130,7 +128,8 @@ def test_camera_calibration_agrees(show, lens):
     assert intrinsics_error(ours.calibration.K, camera) < INTRINSICS_LIMIT
 
 
-def test_a_bag_gives_the_same_as_the_folder(show, tmp_path):
+def test_a_bag_gives_the_same_as_the_folder(show, tmp_path, monkeypatch):
+    """Of half of the pictures, the same ones of either."""
     camera, folder, images = show("risc2")
     bridge = CvBridge()
     path = tmp_path / "pictures.bag"
@@ -139,7 +138,14 @@ def test_a_bag_gives_the_same_as_the_folder(show, tmp_path):
             message = bridge.cv2_to_imgmsg(image[..., ::-1], "rgb8")
             message.header.stamp = rospy.Time(100 + k)
             bag.write("/risc2/ardrone/front/image_raw", message, message.header.stamp)
-    from_bag, _ = calibrate(path, tmp_path / "bag.yaml", "--topic", "/risc2/ardrone/front/image_raw")
-    from_folder, _ = calibrate(folder, tmp_path / "folder.yaml")
+    calibrations = []
+    for source, more in ((path, ["--topic", "/risc2/ardrone/front/image_raw"]), (folder, [])):
+        out = tmp_path / (source.name + ".yaml")
+        monkeypatch.setattr(sys, "argv", arguments_of(source, out, "--max-pictures", str(PICTURES // 2), *more))
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(CALIBRATE), run_name="__main__")
+        assert ended.value.code == 0
+        calibrations.append(load_calibration(str(out)))
+    from_bag, from_folder = calibrations
     assert intrinsics_error(from_bag.K, camera) < INTRINSICS_LIMIT
     assert np.allclose(from_bag.K, from_folder.K, rtol=1e-4)

@@ -1,7 +1,8 @@
-"""The doctor and a virtual lab: healthy, then with one fault after the other, then with a graph that flies in it."""
+"""The doctor and what runs: a vehicle in somebody's hands, a graph, a virtual lab with one fault after the other."""
 
 import contextlib
 import dataclasses
+import io
 import json
 import os
 import pathlib
@@ -19,6 +20,7 @@ import pytest
 import yaml
 
 from risc_doctor import by_hand
+from risc_doctor.__main__ import main
 from risc_doctor.checks import CHECKS
 from risc_doctor.findings import GREEN, RED, YELLOW, exit_code
 from risc_doctor.ros_master import Master, MasterError
@@ -31,7 +33,7 @@ from risc_simulator.virtual_lab import VirtualLab
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PATIENCE_S = 40.0
-GRAPH_HZ = 50.0  # of motion capture and references: the nodes are asked whether they run
+GRAPH_HZ = 50.0  # of motion capture: the nodes are asked whether they run
 
 
 def free_udp_port():
@@ -85,14 +87,6 @@ class RunningLab:
         self._thread.join(PATIENCE_S)
 
 
-@pytest.fixture(scope="module")
-def lab():
-    with reserved_fleet() as fleet:
-        running = RunningLab(fleet)
-        yield running
-        running.close()
-
-
 @pytest.fixture
 def no_master(monkeypatch):
     """An environment in which no ROS master runs."""
@@ -101,95 +95,44 @@ def no_master(monkeypatch):
     monkeypatch.delenv("ROS_HOSTNAME", raising=False)
 
 
-def doctor(fleet, folder, *words):
-    """{(check, level): "text -> cure"; ...} and the exit code. fleet: Fleet, None = that of the graph."""
-    command = [sys.executable, "-m", "risc_doctor", "--json", "--bag-folder", str(folder), *words]
+def arguments(fleet, folder, *words):
+    """Of the doctor; fleet: Fleet, None = that of the graph."""
+    path = folder / "fleet.yaml"
     if fleet is not None:
-        path = folder / "fleet.yaml"
         path.write_text(yaml.safe_dump(fleet.to_dict()))
-        command.insert(3, str(path))
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode in (0, 1), done.stderr
+        words = (str(path), *words)
+    return [*words, "--json", "--bag-folder", str(folder)]
+
+
+def sorted_out(printed):
+    """{(check, level): "text -> cure"; ...} of the doctor's JSON."""
     found = {}
-    for item in json.loads(done.stdout):
+    for item in json.loads(printed):
         key = item["check"], item["level"]
         found[key] = found.get(key, "") + "%(text)s -> %(cure)s\n" % item
-    return found, done.returncode
+    return found
+
+
+def doctor(*situation):
+    """What it finds and the exit code, in this process: as long as no graph is listened to, that makes no difference.
+
+    situation: see `arguments`.
+    """
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        code = main(arguments(*situation))
+    return sorted_out(out.getvalue()), code
+
+
+def doctor_process(*situation):
+    """The same of a process of its own: with a node of its own, and to which this one is another program."""
+    command = [sys.executable, "-m", "risc_doctor", *arguments(*situation)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode in (0, 1), done.stderr
+    return sorted_out(done.stdout), done.returncode
 
 
 def levels(found, check):
     return {level for name, level in found if name == check}
-
-
-def test_every_check_says_something(lab, no_master, tmp_path):
-    """Not what: the joystick, the disk, the clock and the load are this computer's."""
-    found, _ = doctor(lab.fleet, tmp_path)
-    assert {check for check, _ in found} == set(CHECKS)
-
-
-def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
-    good = "multicast", "ports", "templates", "axes", "vehicles", "ros", "graph"
-    found, code = doctor(lab.fleet, tmp_path, "--only", ",".join(("network", "cortex", *good)))
-    assert code == 0 and not [key for key in found if key[1] == RED], found
-    for check in good:
-        assert levels(found, check) == {GREEN}, found
-    assert "frames come at" in found["cortex", GREEN] or "frames come at" in found["cortex", YELLOW]
-    assert found["vehicles", GREEN].count("asked directly") == 3
-    assert found["axes", GREEN].count("plausible: fluffy_II, albatross, Raven") == 1
-
-
-def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
-    def trouble(the_lab):
-        the_lab.world.vehicles["risc2"].set_battery_pct(9.0)
-        the_lab.inject(parse_fault("link_blackhole:600,risc3"))
-
-    def mend(the_lab):
-        the_lab.world.vehicles["risc2"].set_battery_pct(90.0)
-        the_lab.end_faults()
-
-    lab.do(trouble)
-    found, code = doctor(lab.fleet, tmp_path, "--only", "vehicles")
-    lab.do(mend)
-    assert code == 1 and "risc1" in found["vehicles", GREEN]
-    assert re.search("risc2 .* battery [89] %: it would land at once", found["vehicles", RED])
-    assert "risc3 (%s) does not answer: no telemetry" % lab.fleet.vehicles[2].address in found["vehicles", RED]
-    assert "charge" in found["vehicles", RED]
-
-
-def test_what_is_wrong_with_motion_capture(lab, no_master, tmp_path):
-    only = "--only", "cortex,templates,axes,ports"
-    strange = dataclasses.replace(lab.fleet.vehicles[0], template="Fluffy_II")
-    other = dataclasses.replace(
-        lab.fleet,
-        mocap=dataclasses.replace(lab.fleet.mocap, rate_hz=100.0),
-        vehicles=(strange, *lab.fleet.vehicles[1:]),
-    )
-    found, code = doctor(other, tmp_path, *only)
-    assert code == 1 and "the fleet expects 100 Hz" in found["cortex", YELLOW]
-    assert "rename 'fluffy_II' in Cortex to 'Fluffy_II'" in found["templates", RED]
-
-    lab.do(lambda the_lab: the_lab.cortex_host.set_live(False))
-    found, _ = doctor(lab.fleet, tmp_path, *only)
-    assert "not in live mode -> stream_markers asks" in found["cortex", YELLOW] and levels(found, "axes") == {YELLOW}
-    found, _ = doctor(lab.fleet, tmp_path, "--live", "--only", "cortex")
-    assert "frames come at" in "".join(found.values()), "it was asked to go live"
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
-        thief.bind(("", lab.fleet.mocap.stream_port))
-        found, code = doctor(lab.fleet, tmp_path, *only)
-    assert code == 1 and "taken by" in found["ports", RED] and "pid %d" % os.getpid() in found["ports", RED]
-    assert "live, but its stream does not come" in found["cortex", YELLOW]
-
-
-def test_without_a_lab_nothing_flies_and_a_wrong_address_is_told(no_master, monkeypatch, tmp_path):
-    monkeypatch.setenv("ROS_IP", "203.0.113.7")  # nobody's
-    with reserved_fleet() as fleet:
-        found, code = doctor(fleet, tmp_path)
-    assert code == 1
-    assert "no answer from Cortex at %s" % fleet.mocap.host in found["cortex", RED]
-    assert found["vehicles", RED].count("does not answer") == 3
-    assert {levels(found, check) == {YELLOW} for check in ("templates", "axes")} == {True}
-    assert "ROS_IP is 203.0.113.7, which is no address of this computer" in found["ros", RED]
 
 
 # ---------------------------------------------------------------- move +x, see +x
@@ -273,6 +216,39 @@ def wait_until(true, what):
         time.sleep(0.1)
 
 
+AWAITED = "/risc1/ardrone/navdata", "/mocap_data", "/cortex_raw"
+# without what flies: the doctor looks at these, and they start sooner
+GRAPH = """<launch>
+  <arg name="fleet"/>
+  <include file="{0}/fleet.launch" pass_all_args="true"/>
+  <include file="{0}/lab.launch" pass_all_args="true"/>
+  <include file="{0}/mocap.launch" pass_all_args="true"/>
+  <group ns="risc1">
+    <include file="{0}/driver.launch" pass_all_args="true">
+      <arg name="names" value="risc1"/>
+    </include>
+  </group>
+</launch>
+"""
+LISTENER = """
+import sys
+import rospy
+from ardrone_autonomy.msg import Navdata
+
+rospy.init_node("patient", anonymous=True, disable_rostime=True)
+for topic in sys.argv[1:]:
+    rospy.wait_for_message(topic, rospy.AnyMsg)
+while not rospy.wait_for_message("/risc1/ardrone/navdata", Navdata).batteryPercent:
+    pass  # the driver configures it still
+"""  # one process: each doctor would need seconds to start and to listen
+
+
+def everything_is_published():
+    with contextlib.suppress(MasterError):  # none yet
+        return set(AWAITED) <= set(Master(os.environ["ROS_MASTER_URI"]).publishers())
+    return False
+
+
 def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, monkeypatch):
     port = free_tcp_port()
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % port)
@@ -280,18 +256,22 @@ def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, mo
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     with reserved_fleet() as fleet:
         path = tmp_path / "flown.yaml"
+        fleet = fleet.with_vehicles(1)  # the lab needs less time for one
         slower = dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, rate_hz=GRAPH_HZ))
         path.write_text(yaml.safe_dump(slower.to_dict()))
-        settings = {"fleet": path, "vehicles": "risc1", "operator": "false", "rate": GRAPH_HZ}
-        launch = Launch(ROOT / "launch" / "circles3.launch", settings, tmp_path, port)
+        file = tmp_path / "graph.launch"
+        file.write_text(GRAPH.format(ROOT / "launch"))
+        launch = Launch(file, {"fleet": path}, tmp_path, port)
         try:
-            wait_until(lambda: launch.running() and everything_comes(tmp_path), "the graph does not start")
-            found, _ = doctor(None, tmp_path, "--only", "cortex,vehicles,ros,graph,clock,ports", "--vehicle", "risc1")
+            wait_until(lambda: launch.running() and everything_is_published(), "the graph does not start")
+            subprocess.run([sys.executable, "-c", LISTENER, *AWAITED], check=True, timeout=PATIENCE_S)
+            checks = "cortex,vehicles,ros,graph,clock,ports"
+            found, _ = doctor_process(None, tmp_path, "--only", checks, "--vehicle", "risc1")
             with monkeypatch.context() as elsewhere:
                 elsewhere.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % free_tcp_port())
                 apart, _ = doctor(fleet, tmp_path, "--only", "vehicles", "--vehicle", "risc1")
             with stopped(process_of(launch, "stream_markers")):
-                after, code = doctor(None, tmp_path, "--only", "ros,graph")
+                after, code = doctor_process(None, tmp_path, "--only", "ros,graph")
         finally:
             launch.stop()
     assert "risc1 (%s) answers (by its driver)" % fleet.vehicles[0].address in found["vehicles", GREEN]
@@ -309,16 +289,6 @@ def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, mo
     assert "not answering: /stream_markers -> rosnode cleanup" in after["ros", YELLOW], after
 
 
-def everything_comes(folder):
-    """True once there are messages of motion capture, of the estimator and of the driver."""
-    with contextlib.suppress(MasterError):
-        topics = Master(os.environ["ROS_MASTER_URI"]).publishers()
-        if {"/mocap_data", "/cortex_raw", "/controls", "/risc1/ardrone/navdata"} <= set(topics):
-            found, _ = doctor(None, folder, "--only", "vehicles,graph", "--vehicle", "risc1")
-            return ("vehicles", RED) not in found and "nothing comes" not in "".join(found.values())
-    return False
-
-
 @contextlib.contextmanager
 def stopped(pid):
     """A process that hangs meanwhile."""
@@ -331,3 +301,85 @@ def stopped(pid):
 
 def process_of(launch, word):
     return next(pid for pid, command in marked_processes(launch.identity).items() if word in command)
+
+
+# ---------------------------------------------------------------- a virtual lab: last, as it runs to the end
+
+
+@pytest.fixture(scope="module")
+def lab():
+    with reserved_fleet() as fleet:
+        running = RunningLab(fleet)
+        yield running
+        running.close()
+
+
+def test_every_check_says_something(lab, no_master, tmp_path):
+    """Not what: the joystick, the disk, the clock and the load are this computer's."""
+    found, _ = doctor(lab.fleet, tmp_path)
+    assert {check for check, _ in found} == set(CHECKS)
+
+
+def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
+    good = "multicast", "ports", "templates", "axes", "vehicles", "ros", "graph"
+    found, code = doctor_process(lab.fleet, tmp_path, "--only", ",".join(("network", "cortex", *good)))
+    assert code == 0 and not [key for key in found if key[1] == RED], found
+    for check in good:
+        assert levels(found, check) == {GREEN}, found
+    assert "frames come at" in found["cortex", GREEN] or "frames come at" in found["cortex", YELLOW]
+    assert found["vehicles", GREEN].count("asked directly") == 3
+    assert found["axes", GREEN].count("plausible: fluffy_II, albatross, Raven") == 1
+
+
+def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
+    def trouble(the_lab):
+        the_lab.world.vehicles["risc2"].set_battery_pct(9.0)
+        the_lab.inject(parse_fault("link_blackhole:600,risc3"))
+
+    def mend(the_lab):
+        the_lab.world.vehicles["risc2"].set_battery_pct(90.0)
+        the_lab.end_faults()
+
+    lab.do(trouble)
+    found, code = doctor(lab.fleet, tmp_path, "--only", "vehicles")
+    lab.do(mend)
+    assert code == 1 and "risc1" in found["vehicles", GREEN]
+    assert re.search("risc2 .* battery [89] %: it would land at once", found["vehicles", RED])
+    assert "risc3 (%s) does not answer: no telemetry" % lab.fleet.vehicles[2].address in found["vehicles", RED]
+    assert "charge" in found["vehicles", RED]
+
+
+def test_what_is_wrong_with_motion_capture(lab, no_master, tmp_path):
+    only = "--only", "cortex,templates,axes,ports"
+    strange = dataclasses.replace(lab.fleet.vehicles[0], template="Fluffy_II")
+    other = dataclasses.replace(
+        lab.fleet,
+        mocap=dataclasses.replace(lab.fleet.mocap, rate_hz=100.0),
+        vehicles=(strange, *lab.fleet.vehicles[1:]),
+    )
+    found, code = doctor(other, tmp_path, *only)
+    assert code == 1 and "the fleet expects 100 Hz" in found["cortex", YELLOW]
+    assert "rename 'fluffy_II' in Cortex to 'Fluffy_II'" in found["templates", RED]
+
+    lab.do(lambda the_lab: the_lab.cortex_host.set_live(False))
+    found, _ = doctor(lab.fleet, tmp_path, *only)
+    assert "not in live mode -> stream_markers asks" in found["cortex", YELLOW] and levels(found, "axes") == {YELLOW}
+    found, _ = doctor(lab.fleet, tmp_path, "--live", "--only", "cortex")
+    assert "frames come at" in "".join(found.values()), "it was asked to go live"
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+        thief.bind(("", lab.fleet.mocap.stream_port))
+        found, code = doctor_process(lab.fleet, tmp_path, *only)
+    assert code == 1 and "taken by" in found["ports", RED] and "pid %d" % os.getpid() in found["ports", RED]
+    assert "live, but its stream does not come" in found["cortex", YELLOW]
+
+
+def test_without_a_lab_nothing_flies_and_a_wrong_address_is_told(no_master, monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_IP", "203.0.113.7")  # nobody's
+    with reserved_fleet() as fleet:
+        found, code = doctor(fleet, tmp_path)
+    assert code == 1
+    assert "no answer from Cortex at %s" % fleet.mocap.host in found["cortex", RED]
+    assert found["vehicles", RED].count("does not answer") == 3
+    assert {levels(found, check) == {YELLOW} for check in ("templates", "axes")} == {True}
+    assert "ROS_IP is 203.0.113.7, which is no address of this computer" in found["ros", RED]

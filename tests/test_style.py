@@ -1,6 +1,7 @@
 """The whole tree keeps one style, and every package is what catkin expects."""
 
 import ast
+import functools
 import importlib.util
 import pathlib
 import re
@@ -54,11 +55,17 @@ def programs():
             yield path
 
 
+@functools.cache
+def nodes_of(path):
+    """All nodes of the syntax tree of a Python source."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def test_every_subscriber_asks_for_messages_at_once():
     """Without TCP_NODELAY a publisher's computer may hold small messages back for 40 ms: Nagle's algorithm."""
     found, without = 0, []
     for path in programs():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "rospy.Subscriber":
                 found += 1
                 asked = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
@@ -128,27 +135,30 @@ WITHOUT_ROSDEP_NAME = {"msgspec", "pymavlink", "rosbags", "viser"}
 
 def imports(path):
     """(line, module, name or None) of the imports of a file, but for those that it can do without."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    tried = [node for node in ast.walk(tree) if isinstance(node, ast.Try)]
+    tried = [node for node in nodes_of(path) if isinstance(node, ast.Try)]
     optional = {part for node in tried if "ImportError" in ast.unparse(node.handlers) for part in ast.walk(node)}
-    for node in ast.walk(tree):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import) and node not in optional:
             yield from ((node.lineno, alias.name, None) for alias in node.names)
         if isinstance(node, ast.ImportFrom) and node not in optional:
             yield from ((node.lineno, node.module, alias.name) for alias in node.names)
 
 
+@functools.cache
 def names_in(path):
-    """What a module has once it is imported."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    """What a module has once it is imported: a set."""
+    names = set()
+    for node in nodes_of(path):
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-            yield node.name
+            names.add(node.name)
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.id
+            names.add(node.id)
         if isinstance(node, (ast.Import, ast.ImportFrom)):
-            yield from (alias.asname or alias.name for alias in node.names)
+            names.update(alias.asname or alias.name for alias in node.names)
+    return names
 
 
+@functools.cache
 def is_there(module, name):
     """Whether a module, and a name in it, is in the tree or installed."""
     top, *rest = module.split(".")

@@ -1,14 +1,17 @@
 """cortex_dump as a program: files, faults, exit codes. Needs the built workspace, no ROS master."""
 
+import contextlib
+import io
 import json
 import os
 import pathlib
+import runpy
 import socket
 import struct
 import subprocess
+import sys
 import threading
 from collections import namedtuple
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -30,8 +33,25 @@ def find_program():
 PROGRAM = find_program()
 
 
+NODE = runpy.run_path(str(pathlib.Path(__file__).parents[1] / "nodes" / "cortex_dump"))
+
+
 def dump(*arguments, stdin=b""):
-    """Exit code, JSON objects of the output lines, text of standard error."""
+    """Exit code, JSON objects of the output lines, text of standard error: of the program's main, in this process."""
+    out, error = io.TextIOWrapper(io.BytesIO(), encoding="utf-8"), io.StringIO()
+    with pytest.MonkeyPatch.context() as call:
+        call.setattr(sys, "argv", ["cortex_dump", *arguments])
+        call.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin)))
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+            try:
+                code = NODE["main"]()
+            except SystemExit as ended:
+                code = ended.code
+    return code, [json.loads(line) for line in out.buffer.getvalue().splitlines()], error.getvalue()
+
+
+def dump_process(*arguments, stdin=b""):
+    """The same of a process of its own, without a ROS master."""
     assert PROGRAM, "cortex_dump is not built: run ./maap test, which builds and finds it"
     environment = {key: value for key, value in os.environ.items() if not key.startswith("ROS_MASTER")}
     done = subprocess.run([PROGRAM] + list(arguments), input=stdin, capture_output=True, env=environment, timeout=60)
@@ -89,7 +109,7 @@ def check_frame(packet, expected, base_layout):
 
 def test_several_packets_in_one_file():
     paths = sorted(GOLDEN.glob("*.bin"))
-    code, packets, _ = dump("--file", "-", stdin=b"".join(path.read_bytes() for path in paths))
+    code, packets, _ = dump_process("--file", "-", stdin=b"".join(path.read_bytes() for path in paths))
     assert code == 0
     assert len(packets) == len(paths)
 
@@ -97,7 +117,7 @@ def test_several_packets_in_one_file():
 def test_a_malformed_packet_is_reported_and_the_next_one_read():
     bad = struct.pack("<HHii", 13, 8, 7, -1)
     good = (GOLDEN / "comment.bin").read_bytes()
-    code, packets, _ = dump("--file", "-", stdin=bad + good)
+    code, packets, _ = dump_process("--file", "-", stdin=bad + good)
     assert code == 1
     assert "-1 bodies" in packets[0]["error"]
     assert packets[1] == {"type": "comment", "text": "hello from the host"}
@@ -119,7 +139,7 @@ def test_missing_file(tmp_path):
 
 
 def test_names_that_are_not_utf8():
-    code, packets, _ = dump("--file", "-", stdin=struct.pack("<HH", 3, 3) + b'\xe9"\0')
+    code, packets, _ = dump_process("--file", "-", stdin=struct.pack("<HH", 3, 3) + b'\xe9"\0')
     assert code == 0
     assert packets == [{"type": "comment", "text": '\u00e9"'}]
 
@@ -166,7 +186,7 @@ def test_a_host_that_goes_away_while_it_is_polled_is_waited_for_and_then_told():
 
         thread = threading.Thread(target=serve)
         thread.start()
-        code, packets, error = dump(
+        code, packets, error = dump_process(
             "--host", "127.0.0.1", "--command-port", str(port), "--mode", "poll", "--timeout", "0.5"
         )
         thread.join()
@@ -202,7 +222,8 @@ def test_a_host_is_found_by_broadcast():
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         identity = wire.Identity("test", (4, 1, 0, 0))
-        with closing(connection.CortexConnection(identity, connection.BROADCAST, port, "127.0.0.1")) as found:
+        connected = connection.CortexConnection(identity, connection.BROADCAST, port, "127.0.0.1")
+        with contextlib.closing(connected) as found:
             assert found.hello().name == "Cortex"
             assert found.address == ("127.0.0.1", port)
         thread.join()
@@ -231,7 +252,7 @@ def test_a_flood_does_not_keep_it_from_going_on(monkeypatch):
 
     monkeypatch.setattr(talk, "_receive", receive)
     monkeypatch.setattr(connection.select, "select", lambda *_: ([True], [], []))
-    with closing(talk):
+    with contextlib.closing(talk):
         talk._drain(None)
         assert len(read) == connection._MOST_DRAINED
         monkeypatch.setattr(connection, "_MOST_DRAINED", 10**9)

@@ -246,27 +246,26 @@ def test_the_folder_of_a_bag_is_made(lab):
     assert code == 0 and path.exists(), output
 
 
-@pytest.mark.parametrize("name", ["/proc/no/such/folder/flight", "/proc/flight"])
-def test_a_folder_that_cannot_be_written_ends_it_at_once(lab, name):
-    code, output = finish(lab.recorder("-O", str(lab.folder / name), "/a"), number=None)
-    assert code == 1 and str(lab.folder / name) in output
+def test_a_folder_that_cannot_be_written_ends_it_at_once(lab):
+    for name in ("/proc/no/such/folder/flight", "/proc/flight"):
+        code, output = finish(lab.recorder("-O", name, "/a"), number=None)
+        assert code == 1 and name in output
 
 
-@pytest.mark.parametrize(
-    ("number", "with_master"),
-    [(signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, True), (signal.SIGHUP, True)],
-)
-def test_every_way_to_end_it_completes_the_bag(lab, number, with_master):
-    path = lab.folder / "flight.bag"
-    recorder = lab.recorder("-O", str(path), "/a")
-    lab.talker()({"/a": STRING}, 20)
-    wait_for(path, payload("", "/a", 19))
-    if not with_master:
-        lab.master.kill()
-        lab.master.wait()
-    code, output = finish(recorder, number)
-    assert code == 0, output
-    assert texts(path, "/a") == sent("", "/a", 20) and "20 messages" in output
+def test_every_way_to_end_it_completes_the_bag(lab):
+    """One after the other; the last one without a master."""
+    talk = lab.talker()
+    for way, number in enumerate((signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGINT)):
+        path, topic = lab.folder / ("flight%d.bag" % way), "/a%d" % way
+        recorder = lab.recorder("-O", str(path), topic)
+        talk({topic: STRING}, 20)
+        wait_for(path, payload("", topic, 19))
+        if way == 3:
+            lab.master.kill()
+            lab.master.wait()
+        code, output = finish(recorder, number)
+        assert code == 0, (way, output)
+        assert texts(path, topic) == sent("", topic, 20) and "20 messages" in output, way
 
 
 def test_a_killed_recorder_loses_a_second_and_the_next_one_nothing(lab):
@@ -327,13 +326,11 @@ def test_a_prefix_is_followed_by_the_time(lab):
     assert texts(path, "/a") == sent("", "/a", 1)
 
 
-@pytest.mark.parametrize(
-    "arguments", ["-O x", "/a", "-O x (", "-O x -l /a /a", "-O x -l /a=0 /a", "-O x -z /a", "/a -O"]
-)
-def test_what_it_does_not_understand_it_does_not_record(lab, arguments):
-    code, output = finish(lab.recorder(*arguments.split(), cwd=str(lab.folder)), number=None)
-    assert code == 1 and "FATAL" in output
-    assert not list(lab.folder.glob("x*"))
+def test_what_it_does_not_understand_it_does_not_record(lab):
+    for arguments in ("-O x", "/a", "-O x (", "-O x -l /a /a", "-O x -l /a=0 /a", "-O x -z /a", "/a -O"):
+        code, output = finish(lab.recorder(*arguments.split(), cwd=str(lab.folder)), number=None)
+        assert code == 1 and "FATAL" in output, arguments
+        assert not list(lab.folder.glob("x*")), arguments
 
 
 def test_a_clock_that_is_set_back_stops_nothing(lab):

@@ -2,6 +2,7 @@
 
 import math
 import pathlib
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -140,14 +141,12 @@ def long_bag(tmp_path_factory):
     return write(tmp_path_factory.mktemp("bag") / "long.bag", flight())
 
 
-def run(*args):
-    done = subprocess.run([sys.executable, str(NODE), *map(str, args)], capture_output=True, text=True, timeout=300)
-    return done.returncode, done.stdout, done.stderr
-
-
 def test_the_command_writes_a_line_for_the_type_file(long_bag, tmp_path):
-    code, said, error = run(long_bag, "--out", tmp_path)
-    assert code == 0, error
+    """As a user starts it."""
+    command = [sys.executable, str(NODE), str(long_bag), "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    said = done.stdout
     coefficients = yaml.safe_load((tmp_path / "hover_throttle.yaml").read_text())["hover_throttle"]
     pct = np.arange(36.0, 100.0)
     off = np.polynomial.polynomial.polyval(pct, coefficients) - true_throttle(pct)
@@ -181,7 +180,7 @@ def test_a_bag_that_lacks_something_says_what(tmp_path, options, message):
         fit_bag(bag)
 
 
-def test_a_flight_that_says_too_little_says_why(tmp_path):
+def test_a_flight_that_says_too_little_says_why(tmp_path, monkeypatch, capsys):
     data = flight(until_pct=92.0)
     bag = write(tmp_path / "short.bag", data)
     with pytest.raises(ValueError, match="from 100 to 92 %.*9 steps.*order 4 needs 20 percent.*--order"):
@@ -194,7 +193,9 @@ def test_a_flight_that_says_too_little_says_why(tmp_path):
     untold = write(tmp_path / "untold.bag", (*data[:2], [(t_s, math.nan) for t_s, _ in data[2]]))
     with pytest.raises(ValueError, match="no vehicle has told a charge.*BATT_MONITOR"):
         fit_bag(untold)
-    code, _, error = run(bag, "--order", 12)
-    assert code == 1 and "'order' must be" in error and "Traceback" not in error
-    code, _, error = run(tmp_path / "none.bag")
-    assert code == 1 and "no such file" in error
+    for arguments, text in (([bag, "--order", 12], "'order' must be"), ([tmp_path / "none.bag"], "no such file")):
+        monkeypatch.setattr(sys, "argv", [str(NODE), *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(NODE), run_name="__main__")
+        error = capsys.readouterr().err
+        assert ended.value.code == 1 and text in error and "Traceback" not in error

@@ -27,36 +27,35 @@ _STEP_S = 0.001  # of the vehicle
 class Flyer:
     """A vehicle whose loops are those of the model, with a level, gains, drag and a push of its own, heading north.
 
-    later_s: so much later commands act.
+    later_s: so much later commands act.  bandwidth: of its loops of tilt, times those of the model.
     """
 
     climb_gain, climb_level_m_s, drags = 1.0, 0.0, 1.0
 
-    def __init__(self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), later_s=0.0, seed=0):
+    def __init__(
+        self, params=PARAMS, level=(0.0, 0.0), gain=(1.0, 1.0), push=(0.0, 0.0), later_s=0.0, bandwidth=1.0, seed=0
+    ):
         (self._steps,), (self.unknown,) = observer([ARDRONE], params)
-        self.height, self.climb, self._climbs = 0.0, 0.0, deque([0.0] * 401, 401)
+        self.height, self.climb, self._climbs = 0.0, 0.0, deque([0.0] * 1001, 1001)
         self.observed = unseen(1)[0]
-        self._A, self._b = (part[:2] for part in loops(ARDRONE))
+        A, b = (part[:2].copy() for part in loops(ARDRONE))
+        A[:, 1] *= bandwidth**2, bandwidth
+        b[:, 1] *= bandwidth**2
+        self._loops = [(*F.ravel().tolist(), *g.tolist()) for F, g in zip(*discretised(A, b, _STEP_S))]
         self.level, self.gain, self.push = np.array(level), np.array(gain), np.array(push)
         self.tilt, self.place, self.velocity = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
-        self._commands, self._later = deque([np.zeros(2)] * 401, 401), round(later_s / _STEP_S)
+        self._commands, self._later = deque([(0.0, 0.0)] * 1001, 1001), round(later_s / _STEP_S)
         self.time_s, self._rng = 100.0, np.random.default_rng(seed)
 
     def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0), climb_m_s=0.0):
         """Fly on under a command (roll, pitch; climb), and be seen, farther away by shown_m."""
-        Phi, Gamma = discretised(self._A, self._b, _STEP_S)
         for _ in range(round(interval_s / _STEP_S)):
-            self._commands.append(command)
+            self._commands.append(tuple(command))
             self._climbs.append(climb_m_s)
             wanted_m_s = self.climb_gain * self._climbs[-1 - self._later] + self.climb_level_m_s
             self.climb += _STEP_S * (wanted_m_s - self.climb) / ARDRONE.climb_time_constant_s
             self.height += _STEP_S * self.climb
-            driven = self.gain * self._commands[-1 - self._later] + self.level
-            before = self._acceleration()
-            self.tilt = np.matmul(Phi, self.tilt[..., None])[..., 0] + Gamma * driven[:, None]
-            mean = 0.5 * (before + self._acceleration())
-            self.place = self.place + _STEP_S * self.velocity + 0.5 * _STEP_S**2 * mean
-            self.velocity = self.velocity + _STEP_S * mean
+        self._move(round(interval_s / _STEP_S))
         self.time_s += interval_s
         if seen:
             angles = self.tilt[:, 0] + angle_noise_rad * self._rng.standard_normal(2)
@@ -68,10 +67,27 @@ class Flyer:
             tilt = (*angles, *self.tilt[:, 1])
             observe(self.observed, self.time_s, tilt, way, told, earlier, 0.0, PLANT, self._steps, self.unknown)
 
-    def _acceleration(self):
-        phi, theta = self.tilt[:, 0]
-        by_tilt = np.array([-G * math.tan(theta), G * math.tan(phi) / math.cos(theta)])
-        return by_tilt - self.drags * PLANT.drag_1_s * self.velocity + self.push
+    def _move(self, steps):
+        """Tilt, velocity and place, so many steps on: by plain numbers, which are ten times as fast as arrays of 2."""
+        tilts, gains, levels = self.tilt.tolist(), self.gain.tolist(), self.level.tolist()
+        (x, y), (u, v), pushes = self.place.tolist(), self.velocity.tolist(), self.push.tolist()
+        drag_1_s, h = self.drags * float(PLANT.drag_1_s), _STEP_S
+
+        def accelerations():
+            (phi, _), (theta, _) = tilts
+            north = -G * math.tan(theta) - drag_1_s * u + pushes[0]
+            return north, G * math.tan(phi) / math.cos(theta) - drag_1_s * v + pushes[1]
+
+        for k in range(-steps, 0):
+            before = accelerations()
+            for i, command in enumerate(self._commands[k - self._later]):
+                f11, f12, f21, f22, g1, g2 = self._loops[i]
+                (angle, rate), driven = tilts[i], gains[i] * command + levels[i]
+                tilts[i] = f11 * angle + f12 * rate + g1 * driven, f21 * angle + f22 * rate + g2 * driven
+            north, east = (0.5 * (one + other) for one, other in zip(before, accelerations()))
+            x, y = x + h * u + 0.5 * h**2 * north, y + h * v + 0.5 * h**2 * east
+            u, v = u + h * north, v + h * east
+        self.tilt, self.place, self.velocity = np.array(tilts), np.array([x, y]), np.array([u, v])
 
     @property
     def angles(self):
@@ -149,12 +165,7 @@ def test_of_a_type_that_is_told_its_thrust_it_learns_nothing_of_the_climb():
 @pytest.mark.parametrize("bandwidth", [0.8, 1.25])
 def test_it_learns_how_late_another_loop_is(bandwidth):
     """Of another bandwidth, bandwidth or quicker: it lags by 2 zeta / wn."""
-    flyer = Flyer()
-    flyer._A = flyer._A.copy()
-    flyer._b = flyer._b.copy()
-    flyer._A[:, 1, 0] *= bandwidth**2
-    flyer._A[:, 1, 1] *= bandwidth
-    flyer._b[:, 1] *= bandwidth**2
+    flyer = Flyer(bandwidth=bandwidth)
     lag_s = [2.0 * loop.damping_ratio / loop.natural_frequency_rad_s for loop in (ARDRONE.roll, ARDRONE.pitch)]
     for k in range(4000):
         flyer.step(waving(k))

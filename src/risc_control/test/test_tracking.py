@@ -320,8 +320,25 @@ def fly(controller, course, psi, duration_s=13.0, steps_late=26):
     return np.array(errors)
 
 
-@pytest.mark.parametrize("name", ["circle", "flat8", "slanted8", "circles3"])
-@pytest.mark.parametrize("psi_deg", [0, 100, -135])
+@pytest.mark.parametrize(
+    ("name", "psi_deg"),
+    [
+        ("circle", 0),
+        ("flat8", 100),
+        ("slanted8", -135),
+        ("circles3", 100),
+        *(
+            pytest.param(name, psi_deg, marks=pytest.mark.release)
+            for name, yaws_deg in (
+                ("circle", (100, -135)),
+                ("flat8", (0, -135)),
+                ("slanted8", (0, 100)),
+                ("circles3", (0, -135)),
+            )
+            for psi_deg in yaws_deg
+        ),
+    ],
+)
 def test_follows_courses_at_any_yaw_to_millimetres_on_the_nominal_vehicle(name, psi_deg):
     psi = math.radians(psi_deg)
     course = make_course(name, 2).with_yaw(YawProgram(psi, 0.2 if psi_deg == 100 else 0.0))

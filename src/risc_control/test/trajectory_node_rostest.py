@@ -20,14 +20,17 @@ from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
 
-NODES = ("generic", "quadrants", "demo", "circle", "circles3", "target", "knot", "eight")
+NODES = ("generic", "quadrants", "demo", "circle", "target", "knot", "eight")
 NAMES = ("fluffy_II", "albatross")
 HOVER = {"fluffy_II": (0.8, 0.1, 0.9), "albatross": (-0.9, 0.0, 1.0)}
 RATE_HZ = 200.0
 
 
 class Lab:
-    """Two vehicles that hover where they are, and everything that the nodes publish."""
+    """Two vehicles that hover where they are, and everything that the nodes publish.
+
+    States come 50 times a second: nobody here looks more often, and all of this is on one computer.
+    """
 
     def __init__(self):
         self.autonomous = False
@@ -51,7 +54,7 @@ class Lab:
             self.courses[node].append(message.course)
 
     def _run(self):
-        rate = rospy.Rate(100)
+        rate = rospy.Rate(50)
         try:
             while not rospy.is_shutdown():
                 states = Cortex()
@@ -108,7 +111,7 @@ class TrajectoryNodeTest(unittest.TestCase):
                 for name, entry in self.lab.newest(node).items()
             )
 
-        for node in ("generic", "quadrants", "demo", "circle", "circles3"):
+        for node in ("generic", "quadrants", "demo", "circle"):
             wait_for(lambda node=node: holds(node), "%s: reference where the vehicles are" % node)
             self.lab.wait_for_phase(node, "hold", "albatross")
         names = [entry.name for entry in self.lab.references["generic"][-1].Obj]
@@ -171,14 +174,16 @@ class TrajectoryNodeTest(unittest.TestCase):
     def test_5_bumpers_step_through_the_quadrants(self):
         self.lab.autonomous = True
         self.lab.wait_for_phase("quadrants", "course")
-        for button, corner in ((5, (0.75, 0.75)), (5, (-0.75, 0.75)), (4, (0.75, 0.75))):
-            since = len(self.lab.phases["quadrants"])
+        since = len(self.lab.phases["quadrants"])
+        self.lab.press("quadrants", 5)
+        self.lab.wait_for_phase("quadrants", "approach", since=since)
+        self.lab.wait_for_phase("quadrants", "course")
+        places = [(round(e.x, 6), round(e.y, 6)) for e in self.lab.newest("quadrants").values()]
+        self.assertIn((0.75, 0.75), places)
+        self.assertEqual(len(set(places)), 2, "the other vehicle stands in another quadrant")
+        for button, name in ((5, "quadrant 2"), (4, "quadrant 1")):
             self.lab.press("quadrants", button)
-            self.lab.wait_for_phase("quadrants", "approach", since=since)
-            self.lab.wait_for_phase("quadrants", "course")
-            places = [(round(e.x, 6), round(e.y, 6)) for e in self.lab.newest("quadrants").values()]
-            self.assertIn(corner, places)
-            self.assertEqual(len(set(places)), 2, "the other vehicle stands in another quadrant")
+            wait_for(lambda name=name: self.lab.courses["quadrants"][-1] == name, "on to " + name)
         self.lab.press("quadrants", 5, age_s=2.0)  # a network held it up: not obeyed, or the next leads elsewhere
         self.lab.press("quadrants", 4)
         names = ["origin", "quadrant 1", "quadrant 2", "quadrant 1", "origin"]
@@ -199,14 +204,12 @@ class TrajectoryNodeTest(unittest.TestCase):
         names = {tuple(control.name for control in message.Obj) for message in self.lab.controls}
         self.assertLessEqual(names, {("albatross",), ()})  # nobody, as long as a stall lets states grow old
 
-    def test_7_old_names_fly_their_courses(self):
+    def test_7_an_old_name_flies_its_course(self):
         self.lab.autonomous = True
-        for node in ("circle", "circles3"):
-            self.lab.wait_for_phase(node, "course")
+        self.lab.wait_for_phase("circle", "course")
         entry = self.lab.newest("circle")["fluffy_II"]
         self.assertAlmostEqual(math.hypot(entry.x, entry.y), 0.7, places=6)
         self.assertAlmostEqual(math.hypot(entry.xdot, entry.ydot), 0.7 * 2.0 * math.pi / 5.0, places=6)
-        self.assertAlmostEqual(self.lab.newest("circles3")["albatross"].psidot, 2.0 * math.pi / 24.0, places=6)
 
     def test_8_a_button_lets_the_target_go(self):
         self.lab.autonomous = True

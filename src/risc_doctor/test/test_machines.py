@@ -1,20 +1,26 @@
 """`./maap machines` against a real sshd: each failure says what it is, and what is well is well."""
 
+import atexit
 import contextlib
+import functools
 import getpass
+import io
 import os
 import pathlib
 import re
+import runpy
 import shlex
 import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 
 import paramiko
 import pytest
+from roslaunch.xmlloader import XmlLoader
 
 from risc_doctor.machines import __main__ as machines
 from risc_doctor.machines import ssh
@@ -42,6 +48,15 @@ def key_pair(path, kind="ed25519"):
     """Make a key pair; returns its public half as "type base64"."""
     run("ssh-keygen", "-q", "-t", kind, "-N", "", "-C", "", "-f", str(path))
     return " ".join(path.with_name(path.name + ".pub").read_text().split()[:2])
+
+
+@functools.cache
+def host_key(kind):
+    """(private file, public half) of the key of that kind that all our servers have: to make one of RSA takes long."""
+    folder = tempfile.TemporaryDirectory(prefix="host_key")
+    atexit.register(folder.cleanup)
+    path = pathlib.Path(folder.name) / ("host_" + kind)
+    return path, key_pair(path, kind)
 
 
 def free_port(addresses):
@@ -74,7 +89,11 @@ class Server:
         self._reservation = PortReservation(range(200, 240))
         self.addresses = ["%s.0.%d" % (self._reservation.subnet, number + 1) for number in range(count)]
         self.port = free_port(self.addresses)
-        self.host_keys = {kind: key_pair(folder / ("host_" + kind), kind) for kind in ("ed25519", "ecdsa", "rsa")}
+        self.host_keys = {}
+        for kind in ("ed25519", "ecdsa", "rsa"):
+            private, self.host_keys[kind] = host_key(kind)
+            for path in (private, private.with_suffix(".pub")):
+                shutil.copy(path, folder)
         self.home = folder / "home"  # of whoever calls ./maap machines
         (self.home / ".ssh").mkdir(parents=True, mode=0o700)
         self.known_hosts = self.home / ".ssh" / "known_hosts"
@@ -162,16 +181,32 @@ class Server:
         path.write_text('<launch>\n<arg name="speed" default="1"/>\n%s\n</launch>\n' % "\n".join(machines))
         return path
 
-    def maap(self, action, *words, root=ROOT, variables=(), **options):
-        """Run ./maap machines. Returns (exit code, output)."""
-        environment = dict(os.environ, HOME=str(self.home), LOGNAME=CALLER, RISC_MAAP_ROOT=str(root))
-        for name in ("ROS_IP", "ROS_HOSTNAME", "SSH_AUTH_SOCK", "ROSLAUNCH_SSH_UNKNOWN"):
-            environment.pop(name, None)
-        environment.update(variables)
+    def environment(self, root=ROOT, **variables):
+        """{name: value} of whoever calls ./maap machines; None = not set."""
+        unset = dict.fromkeys(("ROS_IP", "ROS_HOSTNAME", "SSH_AUTH_SOCK", "ROSLAUNCH_SSH_UNKNOWN"))
+        return {**unset, "HOME": str(self.home), "LOGNAME": CALLER, "RISC_MAAP_ROOT": str(root), **variables}
+
+    def maap(self, action, *words, root=ROOT, cwd=None, **variables):
+        """Run ./maap machines, but in this process: starting one takes longer than it works. (exit code, output)."""
+        with pytest.MonkeyPatch.context() as caller, open(os.devnull) as nothing, tempfile.TemporaryFile("w+") as out:
+            for name, value in self.environment(root, **variables).items():
+                caller.delenv(name, raising=False) if value is None else caller.setenv(name, value)
+            for name, stream in (("stdin", nothing), ("stdout", out), ("stderr", out)):
+                caller.setattr(sys, name, stream)
+            if cwd is not None:
+                caller.chdir(cwd)
+            code = exit_code_of(action, *words)
+            out.seek(0)
+            return code, out.read()
+
+    def maap_process(self, action, *words, root=ROOT, **options):
+        """Run ./maap machines in a process of its own. Returns (exit code, output)."""
+        environment = {**os.environ, **self.environment(root)}
         done = subprocess.run(
             [sys.executable, "-m", "risc_doctor.machines", action, *map(str, words)],
-            env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            timeout=PATIENCE_S, check=False, **options,
+            env={name: value for name, value in environment.items() if value is not None}, text=True,
+            **{"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, **options},
+            timeout=PATIENCE_S, check=False,
         )  # fmt: skip
         return done.returncode, done.stdout
 
@@ -276,7 +311,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
             machine(13, "dying", dying),
             '<machine name="spare" address="127.0.0.1"/>',
         )
-        code, printed = server.maap("check", file, root=here.parents[1])
+        code, printed = server.maap_process("check", file, root=here.parents[1])
     finally:
         mute.close()
         server.close()
@@ -346,7 +381,7 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
         )
         names = {"ROS_HOSTNAME": "localhost", "ROS_IP": "127.0.0.1"}
         words = ("check", file, "speed:=2 3", "--only", "base,risc2")
-        good = server.maap(*words, root=root, cwd=str(tmp_path), variables=names)
+        good = server.maap(*words, root=root, cwd=tmp_path, **names)
         bad = server.maap("check", file, "--only", "risc3", root=root)
         run("ssh-keygen", "-q", "-p", "-N", "secret", "-f", str(server.home / ".ssh" / "id_ed25519"))
         locked = server.maap("check", file, "--only", "risc2", root=root)
@@ -403,11 +438,9 @@ def answer_yes(server, *words):
     keyboard, terminal = os.openpty()
     try:
         os.write(keyboard, b"y\n")
-        environment = dict(os.environ, HOME=str(server.home), LOGNAME=CALLER, RISC_MAAP_ROOT=str(ROOT))
-        return run(
-            sys.executable, "-m", "risc_doctor.machines", *map(str, words), env=environment, stdin=terminal,
-            start_new_session=True,
-        )  # fmt: skip
+        code, printed = server.maap_process(*words, stdin=terminal, stderr=None, start_new_session=True)
+        assert code == 0, printed
+        return printed
     finally:
         os.close(keyboard)
         os.close(terminal)
@@ -427,7 +460,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
     server = Server(tmp_path / "server", 3, special, before, ["Include /etc/ssh/sshd_config.d/*.conf"])
     keep_alive = settings / "risc_maap.conf"
     try:
-        loader = ROOT / "devel/coop.sh"
+        loader = tmp_path / "ws/devel/coop.sh"  # is not there: a check ends after the keep-alive
         names = ("risc2", "risc3", "risc4")
         file = server.launch_file(*(server.machine(number, name, loader) for number, name in enumerate(names)))
         old = "# of the person\ngithub.invalid %s" % server.host_keys["ecdsa"]  # without a line end
@@ -653,6 +686,24 @@ def test_the_virtual_lab_brings_its_own_cortex(monkeypatch):
     assert exit_code_of("check", "machine:=local", "lab:=true") == 0
 
 
+@pytest.fixture
+def fleet_value_in_this_process(monkeypatch):
+    """For every parameter that it says roslaunch would start it, which takes longer than all the rest."""
+    fleet_value = runpy.run_path(str(ROOT / "src/risc_control/nodes/fleet_value.py"))["main"]
+    as_roslaunch_does = XmlLoader.param_value
+
+    def param_value(self, verbose, name, ptype, value, textfile, binfile, command):
+        words = shlex.split(command or "")
+        if words and pathlib.Path(words[0]).name == "fleet_value.py":
+            with pytest.MonkeyPatch.context() as call, contextlib.redirect_stdout(io.StringIO()) as out:
+                call.setattr(sys, "argv", words)
+                fleet_value()
+            value = out.getvalue()
+        return as_roslaunch_does(self, verbose, name, ptype, value, textfile, binfile, command)
+
+    monkeypatch.setattr(XmlLoader, "param_value", param_value)
+
+
 def guide_lines(pattern):
     """Lines of the guide's blocks of shell, as they stand there, without comments."""
     text = (ROOT / "docs/many_machines.md").read_text()
@@ -661,6 +712,7 @@ def guide_lines(pattern):
     return [line for line in lines if re.search(pattern, line)]
 
 
+@pytest.mark.usefixtures("fleet_value_in_this_process")
 def test_the_guides_fleet_files_are_let_pass(tmp_path, monkeypatch):
     """Its lines, as a reader types them: the fleet of the laboratory, and that of the virtual lab for laptops."""
     (tmp_path / "launch").symlink_to(ROOT / "launch")
@@ -686,6 +738,7 @@ def test_the_guides_fleet_files_are_let_pass(tmp_path, monkeypatch):
     assert not any(computer.cortex for computer in done[1].computers)
 
 
+@pytest.mark.usefixtures("fleet_value_in_this_process")
 def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
     """Read and found, with the guide's own launch file; what would be done is not."""
     shutil.copytree(str(ROOT / "launch"), str(tmp_path / "launch"))

@@ -1,6 +1,12 @@
 #!/usr/bin/env python3
-"""learn_template.py as a program, beside a motion capture that shows an object at rest, one that moves, and others."""
+"""learn_template.py beside a motion capture that shows an object at rest, one that moves, and others.
 
+Once as a program; its other orders are given in this process, which is a node of the same name.
+"""
+
+import contextlib
+import importlib.util
+import io
 import math
 import pathlib
 import subprocess
@@ -19,6 +25,7 @@ from std_msgs.msg import Header
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros.fleet_messages import MocapArrays
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import LIMIT_S
 
 FRAME_S = 0.005
@@ -27,11 +34,24 @@ HULL = load_templates()["fluffy_II"]
 STANDING_M = CENTRE_M + HULL.markers_m @ rotation_body_to_cortex(0.0, 0.0, math.radians(PSI_DEG)).T
 
 
+PROGRAM = pathlib.Path(__file__).resolve().parents[1] / "nodes/learn_template.py"
+
+
 def run(*arguments):
     """(exit code, stdout, stderr) of the program."""
-    program = roslib.packages.find_node("risc_estimation", "learn_template.py")[0]
+    program = roslib.packages.find_node("risc_estimation", PROGRAM.name)[0]
     done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=2.0 * LIMIT_S, check=False)
     return done.returncode, done.stdout, done.stderr
+
+
+def call(*arguments):
+    """The same of its main, in this process."""
+    spec = importlib.util.spec_from_file_location(PROGRAM.stem, PROGRAM)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as said:
+        code = module.main([PROGRAM.name, *arguments])
+    return code, out.getvalue(), said.getvalue()
 
 
 class LearnTemplateTest(unittest.TestCase):
@@ -66,11 +86,11 @@ class LearnTemplateTest(unittest.TestCase):
         np.testing.assert_allclose(learnt.markers_m, HULL.markers_m, atol=1e-3)
         self.assertIn("like fluffy_II", said)
         self.assertIn("while marker_4 is hidden", said)
-        code, _, said = run("Heron", "--seconds", "1", "--out", str(path))
+        code, _, said = call("Heron", "--seconds", "1", "--out", str(path))
         self.assertEqual(code, 1, "a file is not overwritten")
 
     def test_a_landmark_goes_to_stdout_about_its_middle(self):
-        code, text, said = run("Heron", "--seconds", "1", "--kind", "landmark")
+        code, text, said = call("Heron", "--seconds", "1", "--kind", "landmark")
         self.assertEqual(code, 0, said)
         path = self.folder / "landmark.yaml"
         path.write_text(text)
@@ -80,11 +100,11 @@ class LearnTemplateTest(unittest.TestCase):
 
     def test_what_moves_or_is_not_there_is_not_learnt(self):
         for name, cause in (("walker", "moved"), ("Herron", "Heron"), ("other", "off one line")):
-            code, text, said = run(name, "--seconds", "1")
+            code, text, said = call(name, "--seconds", "1")
             self.assertEqual((code, text), (1, ""), said)
             self.assertIn(cause, said)
 
 
 if __name__ == "__main__":
-    rospy.init_node("learn_template_test")
+    init_node("learn_template", anonymous=True)  # as the program says it, which may say it again then
     rostest.rosrun("risc_estimation", "learn_template", LearnTemplateTest, sys.argv)

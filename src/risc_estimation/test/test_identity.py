@@ -32,7 +32,6 @@ from risc_estimation.pose_fit import PoseFit, PoseFitParams
 from risc_estimation.rigid_fit import POSE
 from risc_estimation.state_estimator import StatesEstimator
 
-SEEDS = 4
 FILTERS = "least_squares", "ekf"
 VEHICLES = "fluffy_II", "IRIS"
 BOTH = [
@@ -42,22 +41,29 @@ BOTH = [
 ]
 
 
-@functools.cache
-def together(*arguments, **options):
-    """Judged flights of all seeds: false frames, the wrong ones of them, wrong ones after, blind ones; when settled."""
-    flights = [fly(*arguments, seed=seed, **options) for seed in range(SEEDS)]
-    sums = [sum(getattr(f, n) for f in flights) for n in ("false_frames", "wrong", "wrong_after", "blind")]
-    return *sums, np.concatenate([f.settled_s for f in flights]), [f.counts for f in flights]
+@pytest.fixture(scope="session")
+def together(inputs):
+    """together(fault, vehicle, filter): judged flights of all seeds: false frames, the wrong ones of them, wrong ones
+    after, blind ones; when settled; the counts of each flight.
+    """
+
+    @functools.cache
+    def of(*arguments, **options):
+        flights = [fly(*arguments, seed=seed, **options) for seed in inputs((0, 2), range(4))]  # false often enough
+        sums = [sum(getattr(f, n) for f in flights) for n in ("false_frames", "wrong", "wrong_after", "blind")]
+        return *sums, np.concatenate([f.settled_s for f in flights]), [f.counts for f in flights]
+
+    return of
 
 
 @pytest.mark.parametrize(("vehicle", "filter_name"), BOTH)
 @pytest.mark.parametrize(
     "fault", [displaced, swap, swap_of_those_in_view, ghost, flip, jump, exchange, lost_labels, not_a_number]
 )
-def test_what_is_false_is_not_shown(fault, vehicle, filter_name):
+def test_what_is_false_is_not_shown(together, fault, vehicle, filter_name):
     """At most 0.5 % of the false frames visible and wrong, none after; half of the events are settled 50 ms later."""
-    false, wrong, after, _, settled_s, _ = together(fault, vehicle, filter_name)
-    assert false > 250 and wrong <= 0.005 * false and after == 0
+    false, wrong, after, _, settled_s, counts = together(fault, vehicle, filter_name)
+    assert false > 62.5 * len(counts) and wrong <= 0.005 * false and after == 0
     assert np.median(settled_s) <= 0.05
 
 
@@ -71,7 +77,7 @@ def test_what_is_false_is_not_shown(fault, vehicle, filter_name):
         (swap_of_those_in_view, "IRIS"),
     ],
 )
-def test_without_the_gates_it_is_shown(fault, vehicle):
+def test_without_the_gates_it_is_shown(together, fault, vehicle):
     false, wrong, after, *_ = together(fault, vehicle, "least_squares", **OFF)
     assert wrong > 0.03 * false
 
@@ -109,7 +115,7 @@ def test_a_displaced_marker_is_left_out_of_the_pose(vehicle):
         (lost_labels, "filled_in"),
     ],
 )
-def test_what_can_be_mended_is_flown_on(fault, counter, vehicle):
+def test_what_can_be_mended_is_flown_on(together, fault, counter, vehicle):
     """The vehicle is seen in all false frames but a few, and they are counted."""
     false, _, _, blind, settled_s, counts = together(fault, vehicle, "least_squares")
     assert blind <= 0.02 * false and np.median(settled_s) == 0.0
@@ -117,7 +123,7 @@ def test_what_can_be_mended_is_flown_on(fault, counter, vehicle):
 
 
 @pytest.mark.parametrize("fault", [flip, jump])
-def test_what_cannot_be_is_counted_and_refused(fault):
+def test_what_cannot_be_is_counted_and_refused(together, fault):
     false, _, _, blind, _, counts = together(fault, "fluffy_II", "least_squares")
     assert blind == false == sum(c.jumps for c in counts)
 
@@ -226,10 +232,10 @@ def test_who_comes_back_is_believed_at_once():
 
 
 @pytest.mark.parametrize("false_s", [0.05, 0.25, 0.35, 1.0, 2.5])
-def test_after_false_places_the_truth_is_believed_at_once(false_s):
+def test_after_false_places_the_truth_is_believed_at_once(inputs, false_s):
     """However long they were: the first good frame counts, and nothing is refused after it."""
     row = NAMES.index("Raven")
-    for seed in range(20):
+    for seed in range(inputs(8, 20)):
         truth, estimator, rng = truth_of(seed), PoseFit(TEMPLATES), np.random.default_rng(seed)
         lie = functools.partial(jump, name="Raven", place_m=None, rng=rng, kept=[])
         shown = 0
@@ -267,18 +273,19 @@ def test_a_false_beginning_is_corrected_at_once():
     assert estimator.refusals["jumps"] == 1
 
 
-def test_clean_frames_are_not_refused():
-    """1e5 frames of four vehicles, one marker in twenty hidden: upper 95 % bound of what is refused or left out."""
+def test_clean_frames_are_not_refused(inputs):
+    """Of four vehicles, one marker in twenty hidden: upper 95 % bound of what is refused or left out."""
     truth, rng, refused = Truth(8, pace=2.5), np.random.default_rng(8), 0
     shape = truth.markers_m.shape
-    for _ in range(100):
+    rounds = inputs(30, 100)  # of 1000 frames
+    for _ in range(rounds):
         estimator = PoseFit(TEMPLATES)
         markers_m = truth.markers_m + rng.normal(0.0, NOISE_M, shape)
         markers_m[rng.random(shape[:2]) < 0.05] = np.nan
         for k, frame_m in enumerate(markers_m):
             estimator.update(k * DT_S, truth.layout, frame_m)
         refused += sum(estimator.refusals.values())
-    bodies = 100 * shape[0] * len(NAMES)
+    bodies = rounds * shape[0] * len(NAMES)
     assert beta.ppf(0.95, refused + 1, bodies - refused) < 1e-4, refused
 
 

@@ -17,7 +17,9 @@ SMALL_EIGHT = str(LAUNCH / "waypoints/eight_2m.yaml")
 SMALL8 = {"length_m": 1.0, "width_m": 0.5, "height_m": 1.2}
 
 
-@pytest.mark.parametrize(("speed", "rmse_m"), [("0.76", 0.010), ("1.5", 0.020), ("2.18", 0.030)])
+@pytest.mark.parametrize(
+    ("speed", "rmse_m"), [("0.76", 0.010), pytest.param("1.5", 0.020, marks=pytest.mark.release), ("2.18", 0.030)]
+)
 def test_the_eight_in_the_large_net(speed, rmse_m):
     """2.18 m/s at most are 1.5 m/s on average."""
     result = fly(Flight(EIGHT, vehicles=1, fleet=LARGE, speed=speed, duration_s=12.0))
@@ -29,7 +31,7 @@ def test_the_eight_in_the_large_net(speed, rmse_m):
 
 def test_a_course_that_is_refused_is_left_when_it_is_flown_all_the_same(monkeypatch):
     wanted = Flight("flat8", vehicles=1, fleet=LARGE, course=SMALL8, duration_s=12.0)
-    allowed = [fly(replace(wanted, seed=seed, speed="1.6")) for seed in (1, 2, 3, 4)]
+    allowed = [fly(replace(wanted, seed=seed, speed="1.6")) for seed in (1, 2, 3)]
     assert np.median([result.rmse_m[0] for result in allowed]) < 0.05
     assert max(result.saturated for result in allowed) < 0.1
     beyond = replace(wanted, speed="2.3")

@@ -30,7 +30,7 @@ def flown(*faults):
     "fault",
     [
         FaultEvent("drop", channel="cortex/stream", severity=0.3),
-        FaultEvent("jitter", channel="*/commands", severity=0.05),
+        pytest.param(FaultEvent("jitter", channel="*/commands", severity=0.05), marks=pytest.mark.release),
     ],
     ids=lambda f: f.fault,
 )

@@ -51,7 +51,7 @@ def test_two_ardrones_and_an_iris_by_one_controller():
 
 @pytest.mark.parametrize("what", ["state", "controls", "laptop"])
 def test_it_lands_when_it_loses_what_it_flies_on(what):
-    result = fly(Flight("circle", seed=2, duration_s=12.0, loss=Loss(0, what, 1.0), **ALONE))
+    result = fly(Flight("circle", seed=2, duration_s=9.0, loss=Loss(0, what, 1.0), **ALONE))
     assert result.landed == (True,)
     if what != "laptop":  # nobody says anything then
         assert "hold" in result.safety[0][2] and "land" in result.safety[1][2]

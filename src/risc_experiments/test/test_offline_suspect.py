@@ -75,7 +75,7 @@ def believe_all(monkeypatch, **params):
 )
 def test_a_lie_that_lasts_lands_the_vehicle(lie, words, kind, monkeypatch):
     monkeypatch.setattr(offline, "MocapCameras", lambda *a, **k: LyingCameras(lie, *a, **k))
-    flight = dataclasses.replace(FLIGHT, types=(kind,) * 2)
+    flight = dataclasses.replace(FLIGHT, trajectory="circles3", duration_s=2.0, types=(kind,) * 2)
     assert fly(flight).landed[0]
     believe_all(monkeypatch)
     result = fly(flight)

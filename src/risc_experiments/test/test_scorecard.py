@@ -7,13 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from data_extraction.report import page
 from risc_experiments.scorecard import __main__ as command
 from risc_experiments.scorecard import flights, output
 from risc_experiments.scorecard.figures import compare, rate_bounds, row_of, share_bounds, totals_of
 from risc_experiments.scorecard.plan import NONE, RANDOM, Cell, Plan, load_params, safe_members
-from risc_lab.lab.yaml_reader import package_file
+from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_simulator.faults import fault_settings
 from risc_simulator.models.integrator import REST_HEIGHT_M
 
@@ -169,17 +170,20 @@ def test_minutes_of_single_vehicles_are_those_that_they_are_up():
     assert flights._vehicle_minutes(result) == pytest.approx((8.0 + 3.0) / 60.0)
 
 
-def run(capsys, folder, *options):
-    """(exit code, the scorecard, what was said) of a command line."""
-    code = command.main([*options, "--workers", "1", "--out", str(folder)])
+def run(capsys, folder, vehicles, *options):
+    """(exit code, the scorecard, what was said) of a command line, with so many vehicles."""
+    path = folder.parent / ("%s_settings.yaml" % folder.name)
+    settings = load_yaml(package_file("risc_experiments", "config/scorecard.yaml")) | {"vehicles": vehicles}
+    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    code = command.main([*options, "--settings", str(path), "--workers", "1", "--out", str(folder)])
     return code, json.loads((folder / "scorecard.json").read_text(encoding="utf-8")), capsys.readouterr()
 
 
 def test_a_students_controller_takes_part_and_all_files_are_written(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("RISC_MAAP_MEMBERS", str(MEMBERS))
     options = ("--faults", "none,mocap_blackout", "--severities", "mild", "--controllers", "toy_pd", "--seeds", "1")
-    options += ("--minutes", "0.5")
-    done = flights.score
+    options += ("--minutes", "0.35")
+    done, folder = flights.score, tmp_path / "card"
 
     def interrupted(item):
         if item[0].faults:
@@ -187,27 +191,25 @@ def test_a_students_controller_takes_part_and_all_files_are_written(monkeypatch,
         return done(item)
 
     monkeypatch.setattr(flights, "score", interrupted)
-    code, card, said = run(capsys, tmp_path, *options)
+    code, card, said = run(capsys, folder, 1, *options)
     assert code == 130 and not card["complete"] and [row["fault"] for row in card["rows"]] == ["none"]
     monkeypatch.setattr(flights, "score", done)
-    code, card, said = run(capsys, tmp_path, *options, "--json", str(tmp_path / "copy.json"))
+    code, card, said = run(capsys, folder, 1, *options, "--json", str(tmp_path / "copy.json"))
     assert code == 0 and card["complete"] and card["simulated"] and card["ladder"] is True
     assert "going on with the flights in" in said.err
     assert json.loads((tmp_path / "copy.json").read_text(encoding="utf-8")) == card
     quiet, blackout = card["rows"]
     assert all(row.keys() >= ROW_KEYS and row["controller"] == "toy_pd" for row in card["rows"])
-    assert quiet["minutes"] == pytest.approx(0.5, abs=0.01) and quiet["rmse_m"] < 0.15 and quiet["events"] == 0
+    assert quiet["minutes"] == pytest.approx(0.35, abs=0.01) and quiet["rmse_m"] < 0.15 and quiet["events"] == 0
     assert blackout["detected"] == blackout["events"] >= 3 and 80.0 < blackout["detect_p50_ms"] < 125.0
     assert card["totals"].keys() >= {"minutes", "breaches", "contacts"} and card["totals"]["false_alarms"] == 0
-    with (tmp_path / "scorecard.csv").open(encoding="utf-8", newline="") as stream:
+    with (folder / "scorecard.csv").open(encoding="utf-8", newline="") as stream:
         assert [row["fault"] for row in csv.DictReader(stream)] == ["none", "mocap_blackout"]
-    assert "| mocap_blackout | mild | least_squares | toy_pd |" in (tmp_path / "scorecard.md").read_text(
-        encoding="utf-8"
-    )
-    text = (tmp_path / "scorecard.html").read_text(encoding="utf-8")
+    assert "| mocap_blackout | mild | least_squares | toy_pd |" in (folder / "scorecard.md").read_text(encoding="utf-8")
+    text = (folder / "scorecard.html").read_text(encoding="utf-8")
     assert "data:image/svg+xml" in text and "mocap_blackout" in text and "simulated" in text
-    assert (tmp_path / "scorecard.png").stat().st_size > 10000
-    code, card, said = run(capsys, tmp_path, *options, "--against", str(tmp_path / "copy.json"))
+    assert (folder / "scorecard.png").stat().st_size > 10000
+    code, card, said = run(capsys, folder, 1, *options, "--against", str(tmp_path / "copy.json"))
     assert code == 0 and len(card["against"]["differences"]) == 12
     assert not any(item["significant"] for item in card["against"]["differences"])
 
@@ -264,13 +266,13 @@ def card_of(flights_of):
 
 def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
     """The short version. With the ladder off the same faults of the same seeds must hurt."""
-    options = ("--faults", "flip,name_exchange,random", "--severities", "severe", "--seeds", "1", "--minutes", "0.5")
-    _, card, _ = run(capsys, tmp_path / "on", *options)
+    options = ("--severities", "severe", "--seeds", "1", "--minutes", "0.35")
+    _, card, _ = run(capsys, tmp_path / "on", 2, "--faults", "flip,name_exchange,random", *options)
     assert card["totals"]["failed"] == 0 and card["totals"]["events"] >= 3
     assert (card["totals"]["breaches"], card["totals"]["contacts"], card["totals"]["unsafe"]) == (0, 0, 0), card[
         "findings"
     ]
-    _, control, said = run(capsys, tmp_path / "off", *options, "--no-ladder")
+    _, control, said = run(capsys, tmp_path / "off", 2, "--faults", "flip", *options, "--no-ladder")
     assert control["ladder"] is False and control["totals"]["breaches"] + control["totals"]["contacts"] >= 1
     assert control["totals"]["unsafe"] >= 1 and "without the safety ladder" in said.out
     assert "breach: flip severe" in said.out and "after the start of flip" in said.out

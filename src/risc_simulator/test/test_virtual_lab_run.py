@@ -298,7 +298,16 @@ def start_program(tmp_path, net, *options):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.fixture
+def main():
+    """The program's main, for a call in this process."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield virtual_lab.main
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.release)])
 def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
     stats = tmp_path / "stats.json"
     with stream_client(net["port"]) as stream:
@@ -368,13 +377,18 @@ def test_errors_are_one_line_with_cause_and_cure(tmp_path, net):
     assert len(err.strip().splitlines()) == 1
     for expected in ("risc2", net["net"] + ".1.2:5556", "in use", "Stop the other"):
         assert expected in err
-    program = start_program(tmp_path, net, "--vehicles", "5")
-    _, err = program.communicate(timeout=60)
-    assert program.returncode == 1 and "2 vehicles" in err and len(err.strip().splitlines()) == 1
-    for option, value, expected in (("--radio-loss", "1.5", "radio_loss"), ("--interface", "eth9", "eth9")):
-        program = start_program(tmp_path, net, option, value)
-        _, err = program.communicate(timeout=60)
-        assert program.returncode == 1 and expected in err and len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "option, value, expected",
+    [("--vehicles", "5", "2 vehicles"), ("--radio-loss", "1.5", "radio_loss"), ("--interface", "eth9", "eth9")],
+)
+def test_options_that_cannot_be_are_one_line(tmp_path, net, main, capsys, option, value, expected):
+    path = tmp_path / "fleet.yaml"
+    path.write_text(FLEET_YAML % net)
+    assert main([str(path), option, value]) == 1
+    err = capsys.readouterr().err
+    assert expected in err and len(err.strip().splitlines()) == 1
 
 
 def test_sockets_are_closed_when_a_later_host_fails(net):

@@ -1,5 +1,7 @@
 """Calibration from the corners of a checkerboard, with known truth."""
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -17,9 +19,11 @@ from risc_visual.vision.checkerboard import (
 
 BOARD = Checkerboard()
 SIZE_PX = (640, 360)
+SEEDS = range(4)
 
 
-def views_of(name, count, seed, noise_px=0.05, max_tilt_deg=55.0):
+@functools.cache
+def seeded_views(name, count, seed, noise_px=0.05, max_tilt_deg=55.0):
     """Views of the board at random postures, whole and inside the picture, and the true Camera."""
     camera = Camera(load_calibration(name))
     rng = np.random.default_rng(seed)
@@ -37,7 +41,13 @@ def views_of(name, count, seed, noise_px=0.05, max_tilt_deg=55.0):
         pixels = camera.project((points @ turn.T + at_m)[:, [2, 0, 1]])
         if camera.in_picture(pixels).all():
             views.append(View("view %d" % len(views), pixels + rng.normal(0.0, noise_px, pixels.shape)))
-    return views, camera
+    return tuple(views), camera
+
+
+def views_of(*arguments, **options):
+    """The same, in a list of the caller's own."""
+    views, camera = seeded_views(*arguments, **options)
+    return list(views), camera
 
 
 def errors(result, camera):
@@ -78,14 +88,14 @@ def test_a_strongly_distorting_lens_does_not_trap_the_solver(seed):
 
 def test_one_start_of_opencv_is_not_enough():
     """Why calibrate() starts more than once. If this fails, OpenCV has become better and that may go."""
-    worst_px = 0.0
-    for seed in range(4):
+
+    def found_px(seed):
         views, _ = views_of("risc1.yaml", 40, seed)
         corners = [view.corners_px.astype(np.float32) for view in views]
         points = [BOARD.points_m()] * len(views)
-        rms_px = cv2.calibrateCamera(points, corners, SIZE_PX, None, None, flags=cv2.CALIB_FIX_K3)[0]
-        worst_px = max(worst_px, rms_px)
-    assert worst_px > 0.5
+        return cv2.calibrateCamera(points, corners, SIZE_PX, None, None, flags=cv2.CALIB_FIX_K3)[0]
+
+    assert any(found_px(seed) > 0.5 for seed in SEEDS)
 
 
 def test_a_bad_view_is_dropped_and_named():

@@ -1,9 +1,8 @@
-"""The command line for picture files, as a program of its own, without a ROS master."""
+"""The command line for picture files, without a ROS master."""
 
 import json
-import os
 import pathlib
-import subprocess
+import runpy
 import sys
 
 import cv2
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from disc_pictures import camera, exposed, paint_disc, wall
+from programs import run_program
 
 from risc_lab.lab.calibration import save_calibration
 from risc_lab.lab.yaml_reader import package_file
@@ -18,18 +18,20 @@ from risc_lab.lab.yaml_reader import package_file
 PROGRAM = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "detect_landmarks"
 
 
-def run(*arguments, folder=None):
-    """(exit code, output, errors) with a master that is not there."""
-    env = dict(os.environ, ROS_MASTER_URI="http://127.0.0.1:9")
-    done = subprocess.run(
-        [sys.executable, str(PROGRAM)] + [str(argument) for argument in arguments],
-        capture_output=True,
-        text=True,
-        cwd=str(folder) if folder else None,
-        env=env,
-        timeout=60,
-    )
-    return done.returncode, done.stdout, done.stderr
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """run(arguments, folder): (exit code, output, errors), in this process, with a master that is not there."""
+
+    def run_it(*arguments, folder):
+        monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
+        monkeypatch.chdir(folder)
+        monkeypatch.setattr(sys, "argv", [str(PROGRAM), *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(PROGRAM), run_name="__main__")
+        return (ended.value.code, *capsys.readouterr())
+
+    return run_it
 
 
 @pytest.fixture
@@ -46,10 +48,11 @@ def pictures(tmp_path):
 
 
 def test_one_json_object_a_line_in_the_order_given(pictures):
+    """As a user starts it, without a master."""
     folder, truth = pictures
-    code, out, err = run("two.png", "none.jpg", folder / "two.png", "--json", folder=folder)
-    lines = [json.loads(line) for line in out.splitlines()]
-    assert (code, err) == (0, "")
+    done = run_program(PROGRAM, folder, "two.png", "none.jpg", folder / "two.png", "--json")
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert (done.returncode, done.stderr) == (0, "")
     assert [line["image"] for line in lines] == ["two.png", "none.jpg", str(folder / "two.png")]
     assert lines[1] == {"image": "none.jpg", "detections": []}
     assert lines[0]["detections"] == lines[2]["detections"]
@@ -60,7 +63,7 @@ def test_one_json_object_a_line_in_the_order_given(pictures):
         assert (found[name]["x"], found[name]["y"]) == pytest.approx(tuple(place), abs=0.3)
 
 
-def test_unreadable_pictures_are_told_and_the_others_done(pictures):
+def test_unreadable_pictures_are_told_and_the_others_done(pictures, run):
     folder, _ = pictures
     (folder / "text.png").write_text("no picture")
     (folder / "empty.png").write_bytes(b"")
@@ -78,7 +81,7 @@ def test_unreadable_pictures_are_told_and_the_others_done(pictures):
     assert "two.png: 2 found" in out
 
 
-def test_a_table_for_people(pictures):
+def test_a_table_for_people(pictures, run):
     code, out, _ = run("two.png", "none.jpg", folder=pictures[0])
     assert code == 0
     assert out.splitlines()[0] == "two.png: 2 found"
@@ -86,7 +89,7 @@ def test_a_table_for_people(pictures):
     assert out.split().count("green") == 1
 
 
-def test_overlays(pictures):
+def test_overlays(pictures, run):
     folder, _ = pictures
     (folder / "more").mkdir()
     (folder / "more" / "two.png").write_bytes((folder / "two.png").read_bytes())
@@ -100,7 +103,7 @@ def test_overlays(pictures):
     assert not changed[:, 560:].any()
 
 
-def test_another_configuration(pictures):
+def test_another_configuration(pictures, run):
     folder, _ = pictures
     config = yaml.safe_load(package_file("risc_visual", "config/landmark_detector.yaml").read_text(encoding="utf-8"))
     config["landmarks"] = [{"name": "Green_pink", "roi_name": "lawn", "centre": "green", "ring": "pink"}]
@@ -119,7 +122,7 @@ def test_another_configuration(pictures):
         (["two.png", "--overlay", "two.png"], "two.png"),
     ],
 )
-def test_wrong_arguments_are_one_error(pictures, arguments, told):
+def test_wrong_arguments_are_one_error(pictures, run, arguments, told):
     (pictures[0] / "bad.yaml").write_text("landmarks: []\n")
     code, out, err = run(*arguments, folder=pictures[0])
     assert (code, out) == (2, "")
@@ -127,7 +130,7 @@ def test_wrong_arguments_are_one_error(pictures, arguments, told):
     assert told.split(".*")[-1] in err.splitlines()[-1]
 
 
-def test_a_calibration_for_another_size_is_told(pictures):
+def test_a_calibration_for_another_size_is_told(pictures, run):
     folder, truth = pictures
     save_calibration(camera().calibration, folder / "right.yaml")
     save_calibration(camera((320, 180)).calibration, folder / "small.yaml")
@@ -141,7 +144,7 @@ def test_a_calibration_for_another_size_is_told(pictures):
     assert "320x180" in json.loads(out)["error"]
 
 
-def test_grey_and_deep_pictures(pictures):
+def test_grey_and_deep_pictures(pictures, run):
     folder, _ = pictures
     cv2.imwrite(str(folder / "grey.png"), np.full((90, 160), 80, np.uint8))
     cv2.imwrite(str(folder / "deep.png"), np.full((90, 160, 3), 30000, np.uint16))

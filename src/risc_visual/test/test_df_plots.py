@@ -1,9 +1,10 @@
 """The course's plots: tables with known contents, segments, pages with the right lines, and all of it from bags."""
 
 import csv
-import functools
 import math
 import pathlib
+import runpy
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -452,19 +453,20 @@ def test_a_bag_without_a_flight_is_said(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-run = functools.partial(run_program, NODE)
-
-
 def test_the_program_needs_neither_master_nor_screen(tmp_path):
     write_bag(tmp_path / "flight.bag", 3.0)
-    done = run(tmp_path, "flight.bag", "--vehicle", "fluffy_II")
+    done = run_program(NODE, tmp_path, "flight.bag", "--vehicle", "fluffy_II")
     assert done.returncode == 0, done.stderr
     assert "3 files in flight_plots" in done.stdout and "position RMSE   53.9 mm" in done.stdout
     assert len(list((tmp_path / "flight_plots").iterdir())) == 3
 
 
-def test_the_program_says_what_is_wrong_in_one_line(tmp_path):
+def test_the_program_says_what_is_wrong_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     for arguments, text in ((["none.bag"], "no such file"), (["none.bag", "--type", "boat"], "boat")):
-        done = run(tmp_path, *arguments)
-        assert done.returncode == 1 and done.stdout == ""
-        assert done.stderr.startswith("DF_Plots.py: ") and done.stderr.count("\n") == 1 and text in done.stderr
+        monkeypatch.setattr(sys, "argv", [str(NODE), *arguments])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(NODE), run_name="__main__")
+        out, error = capsys.readouterr()
+        assert ended.value.code == 1 and out == ""
+        assert error.startswith("DF_Plots.py: ") and error.count("\n") == 1 and text in error

@@ -29,10 +29,10 @@ else
 fi
 mkdir -p "$build"/{seeds,corpus,findings}
 
-flags=(-std=c++17 -g -O2 -fno-omit-frame-pointer -Wall -Wextra -I "$package/include" -I "$package/test")
+flags=(-std=c++17 -g1 -fno-omit-frame-pointer -Wall -Wextra -I "$package/include" -I "$package/test")
 sanitizers=address,undefined,float-cast-overflow
 "$compiler" "${flags[@]}" "$package"/test/fuzz/make_corpus.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/make_corpus"
-"$compiler" "${flags[@]}" -fsanitize=fuzzer,$sanitizers -fno-sanitize-recover=all \
+"$compiler" "${flags[@]}" -O1 -fsanitize=fuzzer,$sanitizers -fno-sanitize-recover=all \
   "$package"/test/fuzz/fuzz_protocol.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/fuzz_protocol"
 
 "$build/make_corpus" "$build/seeds"

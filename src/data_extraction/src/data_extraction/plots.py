@@ -35,6 +35,7 @@ COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
 FAULT = "#b3261e"
+_LEGEND_OUTSIDE = "constrained"  # the layout that has room for one; it takes twice the time of the usual one
 
 
 def style():
@@ -253,7 +254,7 @@ def bearings(statistics, title):
 
 def arena_map(flight):
     """The arena from above: net, landmarks, desired and actual paths, also of vehicles without a reference."""
-    figure, plan = plt.subplots(figsize=(6.6, 7.6))
+    figure, plan = plt.subplots(figsize=(6.6, 7.6), layout=_LEGEND_OUTSIDE)
     _draw_net(plan, flight.arena)
     for name, place_m in sorted(flight.landmarks.items()):
         plan.plot(place_m[1], place_m[0], "s", color="#555555", ms=6)
@@ -279,7 +280,7 @@ def arena_map(flight):
 def drop_map(drops, arena):
     """Where in the arena markers were lost [%], and where vehicles became invisible. drops: report.drops.Drops."""
     edges_x_m, edges_y_m = cell_edges(arena)
-    figure, plan = plt.subplots(figsize=(6.6, 6.6))
+    figure, plan = plt.subplots(figsize=(6.6, 6.6), layout=_LEGEND_OUTSIDE)
     total = drops.seen_map + drops.lost_map
     share = np.ma.masked_where(total < drops.least_markers, 100.0 * drops.lost_map / np.maximum(total, 1))
     top = max(1.0, float(share.max())) if share.count() else 1.0
@@ -299,7 +300,7 @@ def ladder(spans, zero_s, faults=()):
 
     spans: {vehicle: [report.ladder.Span]}; zero_s: time 0.
     """
-    figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)))
+    figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)), layout=_LEGEND_OUTSIDE)
     for row, vehicle in enumerate(spans):
         for span in spans[vehicle]:
             colour, width_s = LEVEL_COLOURS[span.level], max(span.end_s - span.begin_s, 0.0)
@@ -318,7 +319,7 @@ def ladder(spans, zero_s, faults=()):
 
 def battery(batteries, zero_s):
     """Charge of every vehicle over time. batteries: {vehicle: report.battery.Battery}; zero_s: time 0."""
-    figure, axes = plt.subplots(figsize=(9.0, 2.8))
+    figure, axes = plt.subplots(figsize=(9.0, 2.8), layout=_LEGEND_OUTSIDE)
     for colour, (name, item) in zip(itertools.cycle(COLOURS), batteries.items()):
         t_s, charge_pct = item.samples.table().T
         axes.plot(t_s - zero_s, charge_pct, color=colour, lw=1.2, label=name, drawstyle="steps-post")
@@ -333,7 +334,7 @@ def fence_margin(margins, zero_s, faults=()):
 
     margins: {vehicle: report.fence.FenceMargin}.
     """
-    figure, axes = plt.subplots(figsize=(9.0, 3.2))
+    figure, axes = plt.subplots(figsize=(9.0, 3.2), layout=_LEGEND_OUTSIDE)
     lowest_m = 0.05
     for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
         times_s, now_m, stopped_m = item.table.T
