@@ -44,6 +44,7 @@ class ScriptedDrone:
         self.reboots = 0
         self.packets = 0  # of navdata that were sent
         self._stop = threading.Event()
+        self._lock = threading.Lock()  # a reboot comes between two steps of the thread
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._sockets = []
         for port in (NAVDATA_PORT, AT_PORT):
@@ -73,8 +74,9 @@ class ScriptedDrone:
 
     def reboot(self):
         """Lose everything, as after a change of the battery."""
-        self.reboots += 1
-        self._forget()
+        with self._lock:
+            self.reboots += 1
+            self._forget()
 
     def named(self, *names):
         """The commands of these names received since the last reboot: list of (time, AtCommand)."""
@@ -99,23 +101,29 @@ class ScriptedDrone:
         next_s = time.monotonic()
         while not self._stop.is_set():
             readable, _, _ = select.select(self._sockets, (), (), max(0.0, next_s - time.monotonic()))
-            for sock in readable:
-                data, sender = sock.recvfrom(4096)
-                if self.silent:
-                    continue
-                if sock is self._sockets[0]:
-                    self.wake_ups += 1
-                    self._client = sender
-                else:
-                    for command in parse_datagram(data).commands:
-                        self._obey(command)
-            if time.monotonic() >= next_s:
-                next_s += PERIOD_S
-                self._advance()
-                if self._client is not None and not self.silent:
-                    for datagram in (self.packet(), *self.garbage):
-                        self._sockets[0].sendto(datagram, self._client)
-                    self.packets += 1
+            with self._lock:
+                next_s = self._step(readable, next_s)
+
+    def _step(self, readable, next_s):
+        """Read what has come, and send what is due. Returns when the next packet is."""
+        for sock in readable:
+            data, sender = sock.recvfrom(4096)
+            if self.silent:
+                continue
+            if sock is self._sockets[0]:
+                self.wake_ups += 1
+                self._client = sender
+            else:
+                for command in parse_datagram(data).commands:
+                    self._obey(command)
+        if time.monotonic() >= next_s:
+            next_s += PERIOD_S
+            self._advance()
+            if self._client is not None and not self.silent:
+                for datagram in (self.packet(), *self.garbage):
+                    self._sockets[0].sendto(datagram, self._client)
+                self.packets += 1
+        return next_s
 
     def _obey(self, command):
         if not self._gate.accept(command.sequence):
