@@ -48,7 +48,7 @@ def label(path):
     return "%s/%s" % (path.parent.name if path.suffix != ".test" else package_of(path), path.stem)
 
 
-@pytest.mark.rostest
+@pytest.mark.alone
 @pytest.mark.parametrize(
     "path",
     [
