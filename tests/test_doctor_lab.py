@@ -32,7 +32,7 @@ from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PATIENCE_S = 40.0
+PATIENCE_S = 120.0
 GRAPH_HZ = 50.0  # of motion capture: the nodes are asked whether they run
 
 
