@@ -16,8 +16,7 @@ import rosbag
 import roslaunch
 import rospy
 import yaml
-from launch_parameters import unroll
-from test_multi_machine_launch import Loader
+from launch_parameters import Loader, unroll
 
 from risc_doctor import ros_master
 from risc_experiments.report import LATE_LIMIT_MS

@@ -1,15 +1,11 @@
 """launch/Multi_Machine_Experiment.launch against the thesis' Appendix C."""
 
-import contextlib
-import io
 import pathlib
-import runpy
 import shlex
-import sys
 
 import pytest
 import roslaunch
-from launch_parameters import unroll
+from launch_parameters import Loader, unroll
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FILE = ROOT / "launch/Multi_Machine_Experiment.launch"
@@ -44,23 +40,6 @@ PARAMETERS = {
 
 
 FLEET = ROOT / "launch/fleets/ardrones3.yaml"  # any with these vehicles
-
-
-fleet_value = runpy.run_path(str(ROOT / "src/risc_control/nodes/fleet_value.py"))["main"]
-
-
-class Loader(roslaunch.xmlloader.XmlLoader):
-    """Runs fleet_value.py in this process: to start it for every parameter takes longer than all the rest."""
-
-    def param_value(self, verbose, name, ptype, value, textfile, binfile, command):
-        words = shlex.split(command or "")
-        if words and pathlib.Path(words[0]).name == "fleet_value.py":
-            with pytest.MonkeyPatch.context() as call, contextlib.redirect_stdout(io.StringIO()) as out:
-                call.setattr(sys, "argv", words)
-                with contextlib.suppress(SystemExit):  # as a program it fails once more, and roslaunch says so
-                    fleet_value()
-                    value = out.getvalue()
-        return super().param_value(verbose, name, ptype, value, textfile, binfile, command)
 
 
 def read(*argv):

@@ -135,8 +135,7 @@ def test_a_doubting_filter_makes_a_loop_robust_and_less_accurate():
         sampled_loop(forward, -K, 0.1, *times)
 
 
-def test_margins_cost_accuracy(monkeypatch):
-    monkeypatch.setattr(h2_limit, "_TRADE_WEIGHTS", h2_limit._TRADE_WEIGHTS[::2])  # half as fine
+def test_margins_cost_accuracy():
     curve = trade(DRONE, POSE, GUST_M_S2, GUST_S, 0.006)
     most, errors_m = zip(*curve)
     assert (np.diff(most) > 0.0).all() and (np.diff(errors_m) < 0.0).all()

@@ -10,7 +10,7 @@ import pytest
 from hover_desk import TOGGLE, Desk, Iris, Sensors, circling, flown, level_at
 
 WITHIN_S = 2.0
-SEEDS = range(4)
+SEEDS = range(6)
 
 
 def drift_m(seed, happens, reports, params):

@@ -31,7 +31,7 @@ def test_the_eight_in_the_large_net(speed, rmse_m):
 
 def test_a_course_that_is_refused_is_left_when_it_is_flown_all_the_same(monkeypatch):
     wanted = Flight("flat8", vehicles=1, fleet=LARGE, course=SMALL8, duration_s=12.0)
-    allowed = [fly(replace(wanted, seed=seed, speed="1.6")) for seed in (1, 2, 3)]
+    allowed = [fly(replace(wanted, seed=seed, speed="1.6")) for seed in (1, 2, 3, 4)]
     assert np.median([result.rmse_m[0] for result in allowed]) < 0.05
     assert max(result.saturated for result in allowed) < 0.1
     beyond = replace(wanted, speed="2.3")
