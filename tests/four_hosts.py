@@ -236,12 +236,12 @@ class FourHosts:
 
     def nodes_on(self, computer):
         """Sorted names of the nodes that run there, without their namespaces."""
-        names = [NODE_NAME.search(command) for command in self.net.processes(computer).values()]
+        names = [NODE_NAME.search(command) for command in self.net.programs(computer).values()]
         return sorted(name.group(1) for name in names if name)
 
     def node_pids(self, computer):
         """Process ids of the nodes that run there."""
-        return {pid for pid, command in self.net.processes(computer).items() if NODE_NAME.search(command)}
+        return {pid for pid, command in self.net.programs(computer).items() if NODE_NAME.search(command)}
 
     def finish(self):
         """End the virtual lab, and keep what it says and what was recorded. Returns its statistics.

@@ -17,6 +17,7 @@ import ipaddress
 import json
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -265,6 +266,18 @@ class NetLab:
             with contextlib.suppress(OSError):  # it ended meanwhile
                 found[int(entry.parent.name)] = entry.read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
         return found
+
+    def programs(self, host):
+        """`processes` without those that show their parent's command line: forks that are about to start their own."""
+        found = self.processes(host)
+
+        def parent(pid):
+            with contextlib.suppress(OSError):  # it ended meanwhile
+                status = pathlib.Path("/proc/%d/root/proc/%d/status" % (self._first[host], pid)).read_text()
+                return int(re.search(r"^PPid:\s*(\d+)$", status, re.MULTILINE).group(1))
+            return None
+
+        return {pid: command for pid, command in found.items() if found.get(parent(pid)) != command}
 
     def link(self, host, state, device="eth0"):
         """Pull ("down") or plug ("up") a cable at its other end; addresses and routes of the host stay."""

@@ -135,6 +135,16 @@ def test_hosts_lose_power_and_sshd_dies(lab):
     assert lab.run("north", ["ssh", "east", "hostname"]).stdout == "east\n"
 
 
+def test_a_fork_is_not_a_program_of_its_own(lab):
+    """It shows its parent's command line, as one that is about to start another program does."""
+    forked = "import os, time; os.fork(); print(os.getpid(), flush=True); time.sleep(600)"
+    process = lab.popen("north", ["/usr/bin/python3", "-c", forked], stdout=subprocess.PIPE, text=True)
+    pids = {int(process.stdout.readline()) for _ in range(2)}
+    assert pids <= set(lab.processes("north"))
+    assert len(pids & set(lab.programs("north"))) == 1
+    lab.interrupt(process)
+
+
 def test_a_network_that_cannot_be_made_leaves_nothing():
     broken = NetLab({"north": "10.77.0.1/24", "south": "10.77.0.300/24"})
     with pytest.raises((RuntimeError, ValueError), match="10.77.0.300"):
