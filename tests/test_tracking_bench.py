@@ -36,15 +36,18 @@ def test_rows_in_calm_air_and_in_gusts(tmp_path, capsys):
     assert "limit" in capsys.readouterr().out
 
 
-def test_lost_frames_and_swapped_markers_reach_the_flight():
-    clean, lossy, swapped = (bench.flight_of(arguments(**given)) for given in ({}, {"loss": 0.05}, {"swap": 0.01}))
-    assert [(fault.fault, fault.severity) for fault in lossy.wire_faults] == [("loss", 0.05)]
+def test_lost_and_late_frames_and_swapped_markers_reach_the_flight():
+    options = {}, {"loss": 0.05}, {"swap": 0.01}, {"jitter": 0.02}
+    clean, lossy, swapped, late = (bench.flight_of(arguments(**given)) for given in options)
+    assert [(fault.fault, fault.severity) for fault in (*lossy.wire_faults, *late.wire_faults)] == [
+        ("loss", 0.05), ("jitter", 0.02)
+    ]  # fmt: skip
     assert [(fault.fault, fault.severity, fault.vehicle) for fault in swapped.wire_faults] == [
         ("marker_swap", 0.01, "*")
     ]
-    flights = [replace(flight, vehicles=1) for flight in (clean, lossy, swapped)]
+    flights = [replace(flight, vehicles=1) for flight in (clean, lossy, swapped, late)]
     errors_m = [fly(flight).rmse_m[0] for flight in flights]
-    assert errors_m[1] != errors_m[0] and max(errors_m) < 0.1
+    assert errors_m[1] != errors_m[0] != errors_m[3] and max(errors_m) < 0.1
     running = RunningFlight(flights[2])
     while not running.is_over:
         running.frame()
@@ -52,7 +55,7 @@ def test_lost_frames_and_swapped_markers_reach_the_flight():
 
 
 def arguments(**given):
-    words = {"loss": 0.0, "swap": 0.0, "gust": 0.0, "delay": 0.1, "plant": "nominal", "duration": 1.0}
+    words = {"loss": 0.0, "swap": 0.0, "jitter": 0.0, "gust": 0.0, "delay": 0.1, "plant": "nominal", "duration": 1.0}
     words.update(controller=Flight.controller, estimator=None, **given)
     return type("Arguments", (), words)
 

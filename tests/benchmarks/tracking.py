@@ -3,6 +3,7 @@
 Simulated, offline: three AR.Drones with the default controller, every seed with another heading. `--gust A`: moving air
 gives each vehicle an acceleration of so much (1 sigma along each axis, 0.5 s of correlation). `--loss P`, `--swap P`:
 frames are lost, and two markers of a vehicle have each other's label, in each frame with this probability.
+`--jitter S`: each frame arrives later by a time of its own, up to this.
 
 limit_m is that of `risc_control.h2_limit`: a controller that knows the nominal plant, the delay, the noise of a pose
 and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands are of any size;
@@ -40,6 +41,7 @@ def flight_of(args):
     """The Flight that all others are variants of. args: of the command line."""
     lasting = {"duration_s": math.inf}
     faults = [FaultEvent("loss", severity=args.loss, **lasting)] if args.loss else []
+    faults += [FaultEvent("jitter", severity=args.jitter, **lasting)] if args.jitter else []
     faults += [FaultEvent("marker_swap", EVERYONE, severity=args.swap, **lasting)] if args.swap else []
     return Flight(
         duration_s=args.duration,
@@ -100,6 +102,7 @@ def main(arguments=None):
     add("--loss", type=float, default=0.0, metavar="P", help="probability of a frame to be lost (default: 0)")
     add("--swap", type=float, default=0.0, metavar="P", help="of two markers, of each vehicle in each frame, to have "
         "each other's label (default: 0)")  # fmt: skip
+    add("--jitter", type=float, default=0.0, metavar="S", help="most that a frame is late by chance [s] (default: 0)")
     add("--seeds", type=int, default=10, metavar="N", help="seeds 1 to N (default: 10)")
     add("--duration", type=float, default=20.0, metavar="S", help="judged time of each flight (default: 20 s)")
     add("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
@@ -130,7 +133,7 @@ def main(arguments=None):
         return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
         figures = {"simulated": True, "estimator": estimator_of(args.controller, args.estimator)}
-        options = ("plant", "delay", "gust", "loss", "swap", "seeds", "duration", "controller")
+        options = ("plant", "delay", "gust", "loss", "swap", "jitter", "seeds", "duration", "controller")
         figures |= {name: getattr(args, name) for name in options}
         with args.json:
             json.dump({**figures, "rows": rows, "trade": limits["trade"]}, args.json, indent=2)
