@@ -50,12 +50,14 @@ BENCHMARKS = {
              [PYTHON, str(HERE / "gate.py"), "--json", "{json}"]),
     "tracking": ("accuracy of courses beside the H2 limit (options: --gust, --delay, --loss, --swap ...)",
                  [PYTHON, str(HERE / "tracking.py"), "--json", "{json}"]),
+    "plants": ("accuracy on plants that differ from their type in loops, delay, mass, thrust",
+               [PYTHON, str(HERE / "plants.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
-# faults, flights and scale take half an hour and more, gate and tracking some minutes, long_bag a big disk; vision
-# rewrites tables of docs/vision.md
-BY_NAME_ONLY = {"faults", "flights", "gate", "long_bag", "profile", "scale", "tracking", "vision"}
+# faults, flights and scale take half an hour and more, gate, plants and tracking some minutes, long_bag a big disk;
+# vision rewrites tables of docs/vision.md
+BY_NAME_ONLY = {"faults", "flights", "gate", "long_bag", "plants", "profile", "scale", "tracking", "vision"}
 
 
 def run(name, options=()):

@@ -76,16 +76,13 @@ def pose_covariance(template):
     return fit.poses.covariances()[0]
 
 
-def row_of(course, results, limits):
-    """Figures of a course; without numbers for the worst when one of its flights did not come to its end."""
+def errors_of(results):
+    """Figures of flights; without numbers for the worst when one of them did not come to its end."""
     flown = [result for result in results if not isinstance(result, RuntimeError) and not any(result.landed)]
     errors_m, failed = [error_m for result in flown for error_m in result.rmse_m.tolist()], len(results) - len(flown)
     return {
-        "course": course,
         "rmse_median_m": float(np.median(errors_m)) if flown else None,
         "rmse_worst_m": None if failed else max(errors_m),
-        "limit_m": limits["limit_m"],
-        "limit_in_scale_m": limits["limit_in_scale_m"],
         "vehicles": len(errors_m),
         "failed": failed,
     }
@@ -121,7 +118,8 @@ def main(arguments=None):
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         print("%-9s %9s %9s %9s %12s" % ("course", "median", "worst", "limit", "in scale"))
         for course in COURSES:
-            rows.append(row_of(course, [next(outcomes) for _ in seeds], limits))
+            errors = errors_of([next(outcomes) for _ in seeds])
+            rows.append({"course": course, **errors, **{key: limits[key] for key in ("limit_m", "limit_in_scale_m")}})
             progress.clear()
             show(rows[-1])
         for point in limits["trade"]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from risc_control.vehicle_pilot import VehiclePilot
-from risc_experiments.offline import Flight, fly, main
+from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, fly, main
 from risc_lab.registry import VARIABLE
 from risc_simulator.faults import FaultEvent, parse_fault
 
@@ -172,3 +172,17 @@ def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
     fault = parse_fault("link_blackhole:1.95,risc1@8")
     result = fly(Flight("circle", vehicles=1, seed=4, psi_deg=200.0, duration_s=12.0, speed="1.3x", faults=(fault,)))
     assert [outcome.outcome for outcome in result.faults] == ["landed" if brakes else "breach"]
+
+
+def test_the_kalman_filter_survives_08_s_without_frames(inputs):
+    """On each course, at whatever place of it the seed says, with another heading; the baseline lands."""
+    fault = parse_fault("mocap_blackout:0.8@3")
+    for seed in range(1, inputs(3, 200) + 1):
+        course, heading_deg = ("circle", "flat8", "slanted8")[seed % 3], YAW_BY_SEED_DEG * seed
+        flight = Flight(course, seed=seed, psi_deg=heading_deg, duration_s=6.0, estimator="ekf", faults=(fault,))
+        result = fly(flight)
+        assert [outcome.outcome for outcome in result.faults] == ["completed"], seed
+        assert result.max_m.max() < 0.15, seed
+        if seed < 4:
+            baseline = fly(dataclasses.replace(flight, estimator="least_squares"))
+            assert [outcome.outcome for outcome in baseline.faults] == ["landed"], seed
