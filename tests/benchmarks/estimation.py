@@ -83,7 +83,10 @@ def noise_table(frames=4000, seed=1):
 
 
 def time_table(fleet_sizes, frames=1000, seed=1):
-    """Microseconds per frame: list of dict, one for each fleet; its vehicles have five markers."""
+    """Microseconds per frame: list of dict, one for each fleet; its vehicles have five markers.
+
+    Keys without the name of a filter are those of the default one.
+    """
     known = load_templates()
     iris = known["IRIS"]
     landmarks = [template for template in known.values() if template.kind == "landmark"]
@@ -95,11 +98,15 @@ def time_table(fleet_sizes, frames=1000, seed=1):
         for view, hidden in (("", 0.0), ("hidden_", 0.3)):
             rng = np.random.default_rng(seed)
             layout, sampled = hover_frames(bodies, frames, rng, hidden)
-            estimator = StatesEstimator({template.name: template for template in bodies})
-            estimates, seconds = run(estimator, layout, sampled, rng)
-            row[view + "p50_us"], row[view + "p99_us"] = (1e6 * np.percentile(seconds[100:], [50, 99])).tolist()
-            if not hidden:
-                row["messages_p50_us"] = messages_us(layout, sampled, estimates)
+            for name in REGISTRY.names() if not hidden else [DEFAULT]:
+                estimator = StatesEstimator(
+                    {template.name: template for template in bodies}, velocity_filter=make_filter(name)
+                )
+                estimates, seconds = run(estimator, layout, sampled, rng)
+                case = view if name == DEFAULT else name + "_"
+                row[case + "p50_us"], row[case + "p99_us"] = (1e6 * np.percentile(seconds[100:], [50, 99])).tolist()
+                if not hidden and name == DEFAULT:
+                    row["messages_p50_us"] = messages_us(layout, sampled, estimates)
         rows.append(row)
     return rows
 
@@ -137,10 +144,12 @@ def main(arguments=None):
     for name, row in noise.items():
         print("%-36s" % name + "".join("%10.2f" % row[column] for column in COLUMNS))
     print("\nTime per frame [us], one core; hidden: three of ten bodies lack a marker, others in each frame")
-    print(("%10s%10s" + "%14s" * 5) % ("vehicles", "landmarks", "p50", "p99", "hidden: p50", "p99", "messages p50"))
+    cases = "", "hidden_", *(name + "_" for name in REGISTRY.names() if name != DEFAULT)
+    keys = ["%sp%d_us" % (case, percent) for case in cases for percent in (50, 99)] + ["messages_p50_us"]
+    titles = [key.removesuffix("_us").replace("_p", ": p").replace("_", " ") for key in keys]
+    print(("%10s%10s" + "%20s" * len(keys)) % ("vehicles", "landmarks", *titles))
     for row in times:
-        figures = [row[key] for key in ("p50_us", "p99_us", "hidden_p50_us", "hidden_p99_us", "messages_p50_us")]
-        print(("%10d%10d" + "%14.1f" * 5) % (row["vehicles"], row["landmarks"], *figures))
+        print(("%10d%10d" + "%20.1f" * len(keys)) % (row["vehicles"], row["landmarks"], *(row[key] for key in keys)))
     if options.json:
         with open(options.json, "w", encoding="utf-8") as output:
             json.dump(
