@@ -45,14 +45,13 @@ def script(text, count, seed):
     return {"faults": [dict(fields, duration_s=event.duration_s, start_s=start_s) for start_s in starts_s.tolist()]}
 
 
-def fly(folder, text, seed, args):
-    """One flight. Returns its summary, or None when there is none (its folder says why)."""
+def fly(folder, events, seed, args, options=()):
+    """One flight with a file of faults. Returns its summary, or None when there is none (its folder says why)."""
     folder.mkdir(parents=True)
-    count = int((args.duration - FIRST_S - SHIFT_S) / APART_S)
-    (folder / "faults.yaml").write_text(yaml.safe_dump(script(text, count, seed)), encoding="utf-8")
+    (folder / "faults.yaml").write_text(yaml.safe_dump(events), encoding="utf-8")
     command = [sys.executable, "-m", "risc_experiments.fly", "--seed", str(seed), "--vehicles", str(args.vehicles)]
     command += ["--duration", str(args.duration), "--mocap-rate", str(args.mocap_rate), "--out", str(folder)]
-    command += ["--faults", str(folder / "faults.yaml")]
+    command += ["--faults", str(folder / "faults.yaml"), *options]
     with (folder / "fly.txt").open("w") as output:
         subprocess.call(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
     path = folder / "summary.json"
@@ -64,7 +63,9 @@ def measure(text, folder, args):
     events, passed, late_ms, seed = [], 0, [], 0
     while len(events) < args.events and seed < max(MOST_FLIGHTS, args.events):
         seed += 1
-        summary = fly(folder / ("%s_seed%d" % (re.sub(r"\W", "_", text), seed)), text, seed, args)
+        count = int((args.duration - FIRST_S - SHIFT_S) / APART_S)
+        name = "%s_seed%d" % (re.sub(r"\W", "_", text), seed)
+        summary = fly(folder / name, script(text, count, seed), seed, args)
         if summary is not None:
             events += summary["faults"]
             passed += summary["passed"]
