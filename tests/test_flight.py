@@ -243,7 +243,7 @@ def test_two_flights_at_the_same_time_pass(tmp_path):
 
 @pytest.mark.release  # test_iris_flight.py flies the same figures, by the same nodes
 def test_df_demo_flies_its_figures(tmp_path):
-    code, output, _, _ = fly(tmp_path, "df_demo", "--duration", "5")
+    code, output, _, _ = fly(tmp_path, "df_demo", "--duration", "10")
     assert code == 0, output
 
 

@@ -96,7 +96,7 @@ def options():
         "--duration",
         type=number(5.0, 600.0),
         metavar="S",
-        help="time on each course (default: 30 s; df_demo, iris: 20 s)",
+        help="time on each course (default: 30 s; df_demo, iris: 20 s, of which the way to a figure takes about 5 s)",
     )
     add("--seed", type=number(0), default=1, metavar="N", help="of everything random (default: 1)")
     delay_help = "command delay (default: that of the type, e.g. 0.1 s)"
