@@ -8,6 +8,7 @@ import pytest
 
 from risc_control.plausibility import Doubt, Plausibility, reach_of
 from risc_control.safety import SafetyLimits
+from risc_lab.clock import AGREEING
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
 
@@ -173,10 +174,38 @@ def test_stamps_that_stand_or_go_back():
     assert fleet.look().all(), "overtaken"
     fleet.time_s += 0.1
     assert all(believed.all() for believed in fleet.run(0.2))
-    state = np.zeros((1, len(S)))
-    for stamp_s, x_m in ((500.0, 0.0), (500.02, 0.01), (400.0, 2.0), (400.02, 2.01)):  # a clock that was set back
+
+
+def looks(judge, *stamped):
+    """Whether one vehicle is believed at each of (stamp [s], x [m]); it hovers elsewhere than it was without a step."""
+    state, believed = np.zeros((1, len(S))), []
+    for stamp_s, x_m in stamped:
         state[0, S.X] = x_m
-        assert fleet.judge.look(("v0",), np.ones(1, bool), state, stamp_s).all() or stamp_s == 500.0
+        believed.append(bool(judge.look(("v0",), np.ones(1, bool), state, stamp_s)[0]))
+    return believed
+
+
+def after(start_s, start_m, count):
+    """(stamp [s], x [m]) of a vehicle that is seen to move a little."""
+    return [(start_s + LOOK_S * k, start_m + 1e-3 * (k % 2)) for k in range(1, count + 1)]
+
+
+@pytest.mark.parametrize("back_s", [0.1, 1.0, 100.0])
+def test_a_clock_that_was_set_back_is_another_one_and_a_straggler_is_not(back_s):
+    judge = Fleet().judge
+    assert all(looks(judge, *after(500.0, 0.0, 10)))
+    newest_s = 500.0 + 10 * LOOK_S
+    assert looks(judge, (newest_s - back_s - 1e-3, 2.0)) == [True], "of a straggler nothing is believed but what was"
+    assert looks(judge, *after(newest_s, 2.0, 3)) == [False] * 3, "it did not make the vehicle be elsewhere"
+    believed = looks(judge, *after(newest_s - back_s, 2.0, 8))
+    assert believed[AGREEING - 1 :] == [True] * (8 - AGREEING + 1), "all begin afresh"
+
+
+def test_a_clock_that_was_set_back_hides_no_jump():
+    judge = Fleet().judge
+    looks(judge, *after(500.0, 0.0, 10))
+    assert all(looks(judge, *after(499.9, 0.0, 5)))
+    assert not looks(judge, (499.9 + 6 * LOOK_S, 2.0))[0]
 
 
 def test_who_is_not_known_or_not_seen_or_no_number():

@@ -17,7 +17,7 @@ come since the last state that was believed, or has come back near to where that
 elsewhere stays suspect until the vehicle must have landed (`separation_forget_s`); then it is believed, or nobody could
 ever fly the vehicle again.
 
-Times are stamps, of one clock.
+Times are stamps. A stamp that does not advance says nothing new; when their clock was set, all begin afresh.
 """
 
 import enum
@@ -26,6 +26,7 @@ import math
 import numpy as np
 
 from risc_control.vehicles import adapter_class, greatest_command
+from risc_lab.clock import ClockGuard, Step
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, wrap_one_angle
 from risc_lab.states import S
@@ -48,8 +49,6 @@ _TEXTS = {
 _POSITION, _VELOCITY, _TILT, _YAW, _FROZEN, _EXCHANGED = map(int, list(Doubt)[1:])  # for compiled code
 _AGREEING = 4  # steps: 67 ms at 60 looks a second,
 _SLOWLY = 12  # where its velocity is another one than before: it may be made of false places for so long
-_SAME_TIME_S = 1e-6
-_SET_BACK_S = 0.2  # stamps that fall back by more are those of another clock
 _GROW_S = 0.05  # the limits around where the last good state leads grow for so long only
 _COMES_S = 0.5  # one that is not flown on comes no farther than by accelerating for so long: else all is in its reach
 _NEAR_OTHER = 0.35  # of their distance: so near to each other's place both are seen whose names were exchanged
@@ -108,6 +107,7 @@ class Plausibility:
         self._vehicles["good_s"] = -math.inf
         self._on = limits.ladder
         self._rows = {}  # {names of a message: row of each}
+        self._stamps = ClockGuard(math.inf)  # a node may hear nothing for long
         self._look(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros((0, len(S))), 0.0)  # loads what is compiled
 
     def look(self, names, visible, states, stamp_s):
@@ -119,6 +119,11 @@ class Plausibility:
             if len(self._rows) > 64:  # names that change all the time are not of one flight
                 self._rows.clear()
             rows = self._rows[names] = np.array([self._index.get(name, -1) for name in names], np.int64)
+        step = self._stamps.look(stamp_s)
+        if step is Step.REFUSED:  # the same once more, or one that was overtaken
+            return visible & ((rows < 0) | (self._vehicles["doubt"][rows] == 0))
+        if step is Step.NEW_CLOCK:
+            self._vehicles["good_s"], self._vehicles["doubt"] = -math.inf, 0
         return self._look(rows, visible, states, stamp_s)
 
     def _look(self, rows, visible, states, stamp_s):
@@ -165,10 +170,8 @@ def _judge(vehicles, rows, believed, states, stamp_s, noise_of_all, give_up_s):
 def _note(vehicle, state, stamp_s, noise, give_up_s):
     """One more state of a vehicle."""
     step_s = stamp_s - vehicle.newest_s
-    if vehicle.good_s == -math.inf or step_s < -_SET_BACK_S:
+    if vehicle.good_s == -math.inf:
         _believe(vehicle, state, stamp_s)
-        return
-    if step_s < _SAME_TIME_S:  # the same once more, or one that was overtaken
         return
     moved_m = 0.0
     for axis in range(3):
