@@ -2,10 +2,12 @@
 
 import math
 import os
+import queue
 import signal
 import subprocess
 import threading
 import time
+import xmlrpc.client
 from dataclasses import replace
 
 import pytest
@@ -16,7 +18,7 @@ from risc_experiments.programs import find
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import MARK, Launch, PortReservation, end_processes, free_tcp_port
 from risc_lab.testing import wait_for
-from risc_simulator.faults import REGISTRY, fault_settings
+from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, parse_fault
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import Told
 from risc_simulator.virtual_lab import VirtualLab
@@ -56,33 +58,47 @@ def test_a_flight_with_a_short_blackout_ends_at_home(tmp_path):
     assert code == 0 and [fault["outcome"] for fault in summary["faults"]] == ["completed"], output
 
 
-A_FLIGHT = 4  # faults
-APART_S, LASTS_S = 6.0, 2.0
-NAMES = [name for name in REGISTRY.names() if not fault_settings(name).on_programs]
-GROUPS = [NAMES[k : k + A_FLIGHT] for k in range(0, len(NAMES), A_FLIGHT)]
+MIXED = ("--fleet", ROOT / "launch" / "fleets" / "mixed3.yaml", "--mocap-rate", "100")  # risc1, risc2 and iris1
+OF_TYPES = "risc1", "iris1"  # to which a fault happens that happens to one
+FIRST_S, APART_S, LASTS_S = 2.0, 6.0, 2.0
 
 
-def event(name, k):
-    """The fault at its default, as the k-th of a flight of three; one that would last does so for a while."""
-    settings, words = fault_settings(name), []
-    if settings.per_vehicle:
-        words.append("risc%d" % (k % 3 + 1))
+def each_flown(folder, *faults):
+    """Fly a mixed fleet until each fault has begun while all were up. Returns what became of each, in their order."""
+    outcomes = []
+    while len(outcomes) < len(faults):
+        left = faults[len(outcomes) :]
+        timed = ["%s@%g" % (text, FIRST_S + APART_S * k) for k, text in enumerate(left)]
+        duration = ("--duration", "%g" % (FIRST_S + APART_S * len(left)))
+        code, output, summary = flown(folder / str(len(outcomes)), *timed, options=(*MIXED, *duration))
+        found = summary["faults"]
+        assert code == 0 and found and all(fault["safe"] for fault in found), output
+        events = map(parse_fault, left[: len(found)])
+        assert [(fault["name"], fault["args"]) for fault in found] == [(event.fault, event.args) for event in events]
+        downs = [k for k, fault in enumerate(found, 1) if fault["outcome"] in ("landed", "breach")]
+        outcomes += found[: min(downs, default=len(found))]
+    return outcomes
+
+
+def lasting(name):
+    """The fault at its default, for each type if it happens to one vehicle; one that would last does so for a while."""
+    settings, words = fault_settings(name), [""]
     if settings.argument == "severity" or math.isinf(settings.default.duration_s):
         shortest_s, longest_s = settings.duration_s
-        words.append("duration_s=%g" % min(max(LASTS_S, shortest_s), longest_s))
-    return "%s:%s@%g" % (name, ",".join(words), 2.0 + APART_S * k)
+        words = ["duration_s=%g" % min(max(LASTS_S, shortest_s), longest_s)]
+    vehicles = OF_TYPES if settings.per_vehicle else [""]
+    return ["%s:%s" % (name, ",".join(filter(None, [vehicle, *words]))) for vehicle in vehicles]
+
+
+FAULTS = [text for name in REGISTRY.names() if not fault_settings(name).on_programs for text in lasting(name)]
+FAULTS += ["cut:duration_s=0.05,channel=iris1/arduino"]  # the board is reset, and is back at once
+A_TEST = 4  # faults
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("names", GROUPS, ids="-".join)
-def test_every_fault_ends_safe(tmp_path, names):
-    """Several in a flight of three; those that begin when all have landed are flown by no one."""
-    faults = [event(name, k) for k, name in enumerate(names)]
-    duration = "%g" % (2.0 + APART_S * len(names))
-    code, output, summary = flown(tmp_path, *faults, options=("--duration", duration, "--mocap-rate", "100"))
-    assert code == 0, output
-    assert [fault["name"] for fault in summary["faults"]] == list(names)[: len(summary["faults"])] != []
-    assert all(fault["safe"] for fault in summary["faults"])
+@pytest.mark.parametrize("faults", [FAULTS[k : k + A_TEST] for k in range(0, len(FAULTS), A_TEST)], ids="-".join)
+def test_every_fault_ends_safe(tmp_path, faults):
+    each_flown(tmp_path, *faults)
 
 
 PROGRAMS = (
@@ -90,55 +106,45 @@ PROGRAMS = (
     "states_estimation",
     "controller",
     "trajectory",
-    "vehicle_node",
-    "driver",
+    "vehicle_node,risc1",
+    "vehicle_node,iris1",
+    "driver,risc1",
+    "driver,iris1",
+    "transmitter,iris1",
     "joystick",
     "master",
 )
-THREE = ("--vehicles", "3", "--duration", "12", "--mocap-rate", "100")
-
-
-def ends_safe(folder, *faults):
-    """Fly three with faults. Returns them, in the order of their begins; those after a landing never begin."""
-    code, output, summary = flown(folder, *faults, options=THREE)
-    assert code == 0, output
-    found = summary["faults"]
-    assert ["%s:%s" % (fault["name"], fault["args"]) for fault in found] == [
-        text.partition("@")[0] for text in faults[: len(found)]
-    ]
-    assert found and all(fault["safe"] for fault in found), output
-    return found
+COME_BACK = ("mocap_client", "driver,iris1", "transmitter,iris1")  # they may be back before a vehicle has to land
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_a_program_that_hangs_for_a_moment_and_then_dies_ends_safe(tmp_path, program):
-    hang, *dead = ends_safe(tmp_path, "node_stop:%s,0.2@2" % program, "node_kill:%s@6" % program)
-    if program == "master":
-        assert [fault["outcome"] for fault in (hang, *dead)] == ["completed", "completed"]
-    else:
-        # it dies while they fly, or the moment was too long for them
-        assert "landed" in [fault["outcome"] for fault in (hang, *dead)] or program == "mocap_client"
+def test_a_program_that_hangs_for_a_moment_and_one_that_dies_end_safe(tmp_path, program):
+    name, _, vehicle = program.partition(",")
+    hang = ",".join(filter(None, (name, "0.2", vehicle)))
+    _, dead = each_flown(tmp_path, "node_stop:" + hang, "node_kill:" + program)
+    assert dead["outcome"] == ("completed" if program == "master" else "landed") or program in COME_BACK
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("duration", ["3", "inf"])
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_program_that_hangs_for_long_ends_safe(tmp_path, program, duration):
-    (hang,) = ends_safe(tmp_path, "node_stop:%s,%s@3" % (program, duration))
+    name, _, vehicle = program.partition(",")
+    (hang,) = each_flown(tmp_path, "node_stop:" + ",".join(filter(None, (name, duration, vehicle))))
     assert hang["outcome"] == ("completed" if program == "master" else "landed")
 
 
 @pytest.mark.release
 def test_the_recorder_may_hang_but_not_die_and_who_is_not_there_is_named(tmp_path):
-    (hang,) = ends_safe(tmp_path / "hang", "node_stop:recorder,2@3")
+    (hang,) = each_flown(tmp_path / "hang", "node_stop:recorder,2")
     assert hang["outcome"] == "completed"
     for name, fault, cause in (
         ("die", "node_kill:recorder", "flights are judged by what is recorded"),
         ("none", "node_kill:autopilot", "no program 'autopilot' is part of this flight; there are mocap_client,"),
-        ("vehicle", "node_kill:driver,risc9", "no vehicle 'risc9'; there are risc1, risc2, risc3"),
+        ("vehicle", "node_kill:driver,risc9", "no vehicle 'risc9'; there are risc1, risc2, iris1"),
     ):
-        code, output, _ = flown(tmp_path / name, fault, options=THREE)
+        code, output, _ = flown(tmp_path / name, fault, options=MIXED)
         assert code == 1 and cause in output.splitlines()[-1], output
 
 
@@ -156,7 +162,13 @@ def lab(tmp_path):
     path.write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False))
     lab, stop = VirtualLab(load_fleet(path), seed=1), threading.Event()
     lab.launch_arguments = {"lab": "false", "fleet": path, "rate": 100, "duration": 300}
-    runner = threading.Thread(target=lab.run, args=(stop,), daemon=True)
+    lab.orders = queue.SimpleQueue()  # carried out by its own thread
+
+    def obey():
+        while not lab.orders.empty():
+            lab.orders.get()()
+
+    runner = threading.Thread(target=lab.run, args=(stop, None, obey), daemon=True)
     runner.start()
     yield lab
     stop.set()
@@ -213,3 +225,22 @@ def test_beside_a_roscore_of_its_own_the_fleet_flies_on_and_lands_when_roslaunch
     assert not killed
     wait_for(lambda: all_landed(lab), limit_s=LIMIT_S)
     assert not lab.world.crashes
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("ladder", [True, False])
+def test_a_vehicle_that_is_seen_turned_lands_and_without_the_ladder_crashes(lab, tmp_path, ladder):
+    port = free_tcp_port()
+    launch = Launch(ROOT / "launch" / "circles3.launch", lab.launch_arguments, tmp_path, port)
+    try:
+        master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)  # up, and roslaunch has just begun
+        assert master.setParam("/test", "/joystick_controller/ladder", ladder)[0] == 1
+        wait_for(lambda: all_told(lab, Told.FLY), limit_s=LIMIT_S)
+        until_s = lab.world.time_s + 12.0  # on their courses
+        wait_for(lambda: lab.world.time_s > until_s, limit_s=LIMIT_S)
+        lab.orders.put(lambda: lab.inject(FaultEvent("flip", "risc1", duration_s=15.0)))
+        turned = lab.world.vehicles["risc1"]
+        wait_for(lambda: lab.world.crashes or turned.phase is FlightPhase.LANDED, limit_s=LIMIT_S)
+    finally:
+        launch.stop()
+    assert bool(lab.world.crashes) is not ladder

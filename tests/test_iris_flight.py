@@ -8,7 +8,7 @@ import time
 
 import psutil
 import pytest
-from flying import end, finish, fly, left_behind, start, wait_for_line
+from flying import ROOT, end, finish, fly, left_behind, start, wait_for_line
 
 from data_extraction.bags import Bag
 from risc_control.vehicles import FlightState
@@ -80,6 +80,19 @@ def test_the_figures_of_chapter_6(tmp_path):
     with Bag(folder / "flight.bag") as bag:
         counts = bag.topics
     assert all(counts["/iris1/" + topic] > 20 for topic in ("controls", "ppm_status", "apm/state", "apm/status"))
+    assert left_behind(folder) == []
+
+
+@pytest.mark.release
+def test_two_ardrones_and_an_iris_fly_by_one_controller(tmp_path):
+    fleet = ROOT / "launch" / "fleets" / "mixed3.yaml"
+    code, output, summary, folder = fly(tmp_path, "circles3", "--fleet", fleet, "--duration", "10")
+    assert code == 0, output
+    flown = summary["vehicles"]
+    assert set(flown) == {"fluffy_II", "albatross", "IRIS"}
+    assert max(vehicle["position_rmse_m"] for vehicle in flown.values()) < RMSE_LIMIT_M
+    with Bag(folder / "flight.bag") as bag:
+        assert all(bag.topics[topic] > 200 for topic in ("/risc1/cmd_vel", "/risc2/cmd_vel", "/iris1/controls"))
     assert left_behind(folder) == []
 
 
