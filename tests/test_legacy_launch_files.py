@@ -186,6 +186,9 @@ FILES = {
         iris_flight(), trajectory("circle_traj.py"), {"/controller": "risc_control/IRIS_DF_Controller.py"}, VIZ,
         trajectory__radius_m=0.7, trajectory__period_s=5.0,
     ),
+    "IRIS_DF": file(
+        iris_flight(), {"/controller": "risc_control/IRIS_origin_hold.py"}, VIZ, controller__height_m=0.5
+    ),
     "test_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold.py"}, EKF, VIZ),
     "test_tuner_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold_tuner.py"}, EKF, VIZ),
     "demonstration": file(
@@ -209,7 +212,7 @@ ELSEWHERE = {
     "edge_uvc": ("device:=PICTURES",),
 }
 # What the page must say why it is not there.
-ABSENT = {"tum_ardrone", "IRIS_DF", "IP_origin", "DF_pen_sim", "IP_Simulation_verification"}
+ABSENT = {"tum_ardrone", "IP_origin", "DF_pen_sim", "IP_Simulation_verification"}
 
 
 def load(path, *argv):

@@ -2,8 +2,7 @@
 """IRIS_origin_hold.py under its other name: every controller is tuned in flight, by dynamic_reconfigure."""
 
 from risc_control.ros.controller_node import main
-from risc_control.ros.experiment_node import IrisExperiment
-from risc_control.trajectories import origin
+from risc_control.ros.experiment_node import IrisHold
 
 if __name__ == "__main__":
-    main("IRIS_Origin_Hold", lambda: IrisExperiment([origin(1)]))
+    main("IRIS_Origin_Hold", IrisHold)

@@ -151,9 +151,10 @@ class IrisNodesTest(unittest.TestCase):
             wait_for(lambda n=node: n in self.lab.references, "%s has a reference" % node)
             wait_for(lambda n=node: math.dist(reference(n), PLACE_M) < 1e-6, "%s: where it is" % node)
         self.lab.autonomous = True
-        for node in ("hold", "tuner"):
+        for node, height_m in (("hold", 0.5), ("tuner", 1.0)):
+            place_m = (0.0, 0.0, height_m)
             wait_for(lambda n=node: self.lab.phases[n] == [("IRIS", VehiclePhase.COURSE)], "%s: on its course" % node)
-            wait_for(lambda n=node: math.dist(reference(n), (0.0, 0.0, 1.0)) < 1e-6, "%s: the origin" % node)
+            wait_for(lambda n=node, p=place_m: math.dist(reference(n), p) < 1e-6, "%s: the origin" % node)
 
     def test_5_gains_are_tuned_in_flight(self):
         self.lab.autonomous = True

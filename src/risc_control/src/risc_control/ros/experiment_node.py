@@ -1,7 +1,7 @@
 """Nodes of the original release that are trajectory and controller of one vehicle in one."""
 
 import time
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 import rospy
@@ -16,10 +16,12 @@ from risc_control.ros.trajectory_node import (
     TrajectoryParams,
     check_courses,
 )
+from risc_control.trajectories import COURSE_HEIGHT_M, origin
 from risc_control.vehicles import adapter_class
 from risc_lab.lab import load_vehicle_type
 from risc_lab.ros.fleet_messages import TrajectoriesArrays
 from risc_lab.ros.params import load_params, vehicles
+from risc_lab.settings import Positive, Settings
 
 IRIS = "iris"  # type of vehicle
 
@@ -27,8 +29,10 @@ IRIS = "iris"  # type of vehicle
 class ExperimentNode(ControllerNode):
     """A controller whose references come from its own generator, exact at any time."""
 
-    def __init__(self, courses, kind=""):
-        """courses: of one vehicle each; the joystick's bumpers step through several.  kind: type of the vehicle."""
+    def __init__(self, courses, kind="", known=()):
+        """courses: of one vehicle each; the joystick's bumpers step through several.  kind: type of the vehicle.
+        known: private parameters of others.
+        """
         fleet_vehicles = vehicles(only_one=True, kind=kind)
         kinds = (TrajectoryParams, BumperParams)[: min(len(courses), 2)]
         params, *bumpers = load_params(*kinds, known=None, lenient=True)
@@ -40,7 +44,7 @@ class ExperimentNode(ControllerNode):
             CourseSelector(self._wiring, courses, *bumpers)
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
         self._reference_publisher = rospy.Publisher("/trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
-        known = [item.name for kind in kinds for item in fields(kind)]
+        known = [*known, *(item.name for kind in kinds for item in fields(kind))]
         super().__init__("differential_flatness", fleet_vehicles, known)
         self._wiring.manager.ask(self._loop.controller.ORDER)
 
@@ -86,5 +90,20 @@ class IrisController(_HearsAutopilot, ControllerNode):
 class IrisExperiment(_HearsAutopilot, ExperimentNode):
     """An ExperimentNode of the fleet's IRIS+."""
 
-    def __init__(self, courses):
-        super().__init__(courses, IRIS)
+    def __init__(self, courses, known=()):
+        super().__init__(courses, IRIS, known)
+
+
+@dataclass(frozen=True)
+class HoldParams(Settings):
+    """Of an IrisHold."""
+
+    height_m: Positive = COURSE_HEIGHT_M
+
+
+class IrisHold(IrisExperiment):
+    """Holds the fleet's IRIS+ above the origin."""
+
+    def __init__(self):
+        (params,) = load_params(HoldParams, known=None, lenient=True)
+        super().__init__([origin(1, params.height_m)], [item.name for item in fields(HoldParams)])
