@@ -31,3 +31,24 @@ def test_a_message_that_is_refused_leaves_the_states_after_it_as_they_come():
     assert reader.read(other.replace(b"b", b"\xe4"))[1].x[0, 0] == 7.0
     assert reader.read(whole[2])[1].x[0, 0] == 2.0
     assert reader.unknown == []
+
+
+def test_what_vehicles_carry_is_in_their_rows():
+    reader = StatesReader(["a", "b", "c"], ["ball", None, "tip"])
+    bodies = [States(name, name != "b", *[float(k)] * 12) for k, name in enumerate(("tip", "c", "b", "ball", "a", "d"))]
+    _, vehicles = reader.read(wire(Cortex(Obj=bodies)))
+    assert vehicles.visible.tolist() == [True, False, True] and vehicles.x[:, 0].tolist() == [4.0, 0.0, 1.0]
+    assert reader.bodies.visible.tolist() == [True, False, True]
+    assert reader.bodies.position_m[:, 2].tolist() == [3.0, 0.0, 0.0]
+    assert reader.unknown == ["d"], "they are known"
+    former = reader.bodies
+    reader.read(wire(Cortex(Obj=bodies[:3])))
+    assert reader.bodies.visible.tolist() == [False, False, True], "one that the message lacks"
+    assert former.visible.tolist() == [True, False, True], "a controller may keep them"
+
+
+def test_vehicles_that_carry_nothing_have_no_bodies():
+    reader = StatesReader(["a", "b"], [None, None])
+    _, vehicles = reader.read(wire(Cortex(Obj=[States("b", True, *[1.0] * 12)])))
+    assert reader.bodies is None and vehicles.visible.tolist() == [False, True]
+    assert vehicles.x.base is None, "nor rows for them"

@@ -1,5 +1,6 @@
 """A controller and a vehicle type from elsewhere, each one file and one YAML in the folder `members`, flown offline."""
 
+import json
 import math
 import pathlib
 from dataclasses import replace
@@ -10,11 +11,16 @@ import pytest
 from risc_control.controllers import REGISTRY, ControlLoop
 from risc_control.vehicle_pilot import OwnState
 from risc_control.vehicles import Command, ControlsConverter, adapter_class
+from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import FRAME_S, Flight, fly
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import load_vehicle_type
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
+SPRING = MEMBERS.parents[2] / "risc_simulator" / "test" / "members"
+BALL_MARKERS = {"a": [0.02, 0.0, 0.0], "b": [-0.01, 0.0173, 0.0], "c": [-0.01, -0.0173, 0.0]}
+BALL = {"geometries": {"ball": BALL_MARKERS}, "templates": {"ball": {"kind": "attached", "geometry": "ball"}}}
+HANGS_M = 0.3 + 0.05 * GRAVITY_M_S2 / 4.0  # as in toy_spring.yaml
 
 
 @pytest.fixture(autouse=True)
@@ -45,6 +51,26 @@ def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
         assert ahead[:, :2] == pytest.approx(present[:, :2] @ turn, abs=1e-6)
     jumps = np.abs(np.diff([reference.present[:, 0, :3] for _, reference in seen], axis=0)).max(axis=(0, 2))
     assert (jumps < 0.2).all(), "continuous to the sixth, on the way as well"
+
+
+def test_a_controller_reacts_to_what_a_vehicle_carries(monkeypatch, tmp_path):
+    """The second of two carries a ball on a spring; `toy_carrier` lets that follow the course, 0.3 m below it."""
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", "%s:%s" % (MEMBERS, SPRING))
+
+    def errors_m(controller, own=None, params=None):
+        content = default_fleet(2, "circle").to_dict() | {"templates": BALL}
+        carries = {"attached": {"body": "toy_spring", "template": "ball"}, "controllers": {controller: own or {}}}
+        content["vehicles"] = [content["vehicles"][0], content["vehicles"][1] | carries]
+        (tmp_path / "fleet.yaml").write_text(json.dumps(content), encoding="utf-8")
+        flown = {"fleet": str(tmp_path / "fleet.yaml"), "controller": controller, "params": params}
+        result = fly(Flight("circle", vehicles=2, seed=1, psi_deg=20.0, duration_s=4.0, **flown))
+        return (result.actual_m - result.reference_m)[result.judged]
+
+    blind_m, looking_m = errors_m("toy_pd"), errors_m("toy_carrier", params={"below_m": 0.3})
+    np.testing.assert_array_equal(looking_m[:, 0], blind_m[:, 0])
+    higher_m = (looking_m - blind_m)[:, 1, 2].mean()
+    assert higher_m == pytest.approx(HANGS_M - 0.3, abs=0.01)
+    np.testing.assert_array_equal(errors_m("toy_carrier", own={"below_m": 0.3}), looking_m)
 
 
 def test_one_controller_flies_a_fleet_of_two_types():

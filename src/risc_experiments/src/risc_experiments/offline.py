@@ -185,6 +185,8 @@ class RunningFlight:
     def _set_up_lab(self, fleet, types, vehicle_types):
         """World, cameras, estimator, and the wires in between."""
         flight, templates = self._flight, load_templates(fleet=fleet)
+        self._carriers = [i for i, vehicle in enumerate(fleet.vehicles) if vehicle.carries]
+        bodies = [fleet.vehicles[i].carries for i in self._carriers]
         how = {"seed": flight.seed, "perturbed": flight.perturbed, "gusts": flight.gusts, "step_s": FRAME_S}
         self._world = World(fleet, types, templates, **how)
         for vehicle in self._world.vehicles.values():
@@ -196,7 +198,7 @@ class RunningFlight:
         self._estimator = StatesEstimator(
             templates,
             replace(PoseFitParams().within(fleet.arena), **({} if flight.noise else {"frozen_frames": 0})),
-            vehicles=self._names,
+            vehicles=self._names + bodies,
             velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
             vehicle_types=dict(zip(self._names, vehicle_types)),
         )
@@ -315,6 +317,15 @@ class RunningFlight:
                 self._chains[loss.vehicle].lose(loss.what, self._now_s)
         return states
 
+    def _bodies_for_controller(self):
+        """`controllers.Bundle.bodies`; None when nobody carries anything."""
+        if not self._carriers:
+            return None
+        n = len(self._names)
+        bodies = States(np.zeros(n, dtype=bool), np.zeros((n, len(S))))
+        bodies.visible[self._carriers], bodies.x[self._carriers] = self._estimate.visible[n:], self._estimate.states[n:]
+        return bodies
+
     def _press_buttons(self):
         """The operator has all flown by the controller; who refuses is asked again."""
         for name, chain, state in zip(self._names, self._chains, self._estimate.states):
@@ -328,7 +339,8 @@ class RunningFlight:
         times_s = self._loop.times_s(self._stamp_s, self._now_s)
         present, ahead = self._loop.pick(self._buffer.at(times_s))
         autonomous = self._everyone if flying else self._nobody
-        return self._loop.update(self._stamp_s, self._now_s, states, present, ahead, self._everyone, autonomous)
+        told = states, present, ahead, self._everyone, autonomous, self._bodies_for_controller()
+        return self._loop.update(self._stamp_s, self._now_s, *told)
 
     def _look_around(self, states, reference):
         """What the vehicle nodes find at their ticks: `separation.Look` of each vehicle; what its state contradicts."""

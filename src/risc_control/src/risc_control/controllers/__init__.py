@@ -16,8 +16,9 @@ elsewhere, e.g. a student's: controllers/NAME.py and controllers/NAME.yaml in a 
             up = acceleration[:, 2] + params.gain_1_s2 * (position - states.vehicles.position_m)[:, 2] + ...
             return Command(roll_rad, pitch_rad, yaw_rate_rad_s, self.mass_kg * (GRAVITY_M_S2 + up))
 
-It flies all vehicles of a fleet at once, of whatever types. Who cannot be flown (not seen, no reference), limits and
-the units of /controls are not its business: `ControlLoop` sees to them, and it is what nodes and offline flights run.
+It flies all vehicles of a fleet at once, of whatever types. `states.bodies` is what they carry (`attached` in the fleet
+file), such as the tip of a pendulum. Who cannot be flown (not seen, no reference), limits and the units of /controls
+are not its business: `ControlLoop` sees to them, and it is what nodes and offline flights run.
 """
 
 from dataclasses import dataclass, replace
@@ -46,11 +47,12 @@ class Times(NamedTuple):
 
 
 class Bundle(NamedTuple):
-    """What is known of the world. What only some have (attached bodies, covariances, disturbances) goes here, too."""
+    """What is known of the world. What only some have (covariances, disturbances) goes here, too."""
 
     vehicles: States
     autonomous: np.ndarray  # (n,) bool, False where somebody else flies the vehicle: our commands are not sent
     sent: CommandHistory  # what the vehicles were really sent, as far as that is known; its times are those of `Times`
+    bodies: States  # row i: what vehicle i carries; not visible where that is nothing. Its angles mean nothing
 
 
 class Reference(NamedTuple):
@@ -107,6 +109,7 @@ class _Mixed(Controller):
         super().__init__(vehicle_types, params)
         self.ORDER = kind.ORDER
         self._parts, begin = [], 0  # (rows, what they have otherwise, Controller)
+        self._bodies, self._bodies_of = None, ()  # States of all, and those of each part
         for numbers, equals in groupby(own):
             rows = slice(begin, begin + len(list(equals)))
             part = kind(vehicle_types[rows], replace(params, **numbers))
@@ -120,9 +123,12 @@ class _Mixed(Controller):
 
     def step(self, t, states, reference, params):
         commands = np.empty((len(Command._fields), len(self.delay_s)))
-        for (rows, _, part), (own, part.designed) in zip(self._parts, self.designed):
-            vehicles = States(states.vehicles.visible[rows], states.vehicles.x[rows])
-            bundle = Bundle(vehicles, states.autonomous[rows], states.sent.of(rows))
+        if states.bodies is not self._bodies:  # while nobody carries anything it is the same in every frame
+            self._bodies = states.bodies
+            self._bodies_of = [_rows_of(states.bodies, rows) for rows, _, _ in self._parts]
+        for (rows, _, part), (own, part.designed), bodies in zip(self._parts, self.designed, self._bodies_of):
+            vehicles = _rows_of(states.vehicles, rows)
+            bundle = Bundle(vehicles, states.autonomous[rows], states.sent.of(rows), bodies)
             wanted = Reference(reference.present[:, rows], reference.ahead[:, rows], reference.usable[rows])
             commands[:, rows] = part.step(t, bundle, wanted, own)
             self.saturated[rows] = part.saturated
@@ -135,6 +141,10 @@ class _Mixed(Controller):
     def forget_times(self):
         for _, _, part in self._parts:
             part.forget_times()
+
+
+def _rows_of(states, rows):
+    return States(states.visible[rows], states.x[rows])
 
 
 class Output(NamedTuple):
@@ -171,8 +181,10 @@ class ControlLoop:
         self._everyone = np.arange(len(vehicle_types))
         self.sent = CommandHistory(len(vehicle_types))  # whoever knows what was really sent appends it here
         self.set_params(params)
-        n = len(vehicle_types)  # load what is compiled, by an update in which no vehicle is seen
+        n = len(vehicle_types)
         none, nowhere = np.zeros(n, dtype=bool), np.zeros((self.controller.ORDER + 1, n, len(Axis)))
+        self._no_bodies = States(none.copy(), np.zeros((n, len(S))))
+        # load what is compiled, by an update in which no vehicle is seen
         self.update(0.0, 0.0, States(none, np.zeros((n, len(S)))), nowhere, nowhere, none, none)
         self.controller.reset()
 
@@ -201,14 +213,16 @@ class ControlLoop:
             return values[0], values[1]
         return values[0], np.ascontiguousarray(values[1 + self._which, :, self._everyone].transpose(1, 0, 2))
 
-    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous):
+    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous, bodies=None):
         """`Output` for the States at stamp_s, to be sent at now_s; level with hover thrust where nothing is known.
 
-        present, ahead, usable: see `Reference`.  autonomous: see `Bundle`.  Raises ValueError, and nothing counts as
-        sent, when a number of a vehicle that is seen is not finite.
+        present, ahead, usable: see `Reference`.  autonomous, bodies: see `Bundle`; None: nobody carries anything, or
+        it is not seen.  Raises ValueError, and nothing counts as sent, when a number of a vehicle that is seen is not
+        finite.
         """
         params, self.controller.designed = self._flown
-        reference, bundle = Reference(present, ahead, usable), Bundle(states, autonomous, self.sent)
+        reference = Reference(present, ahead, usable)
+        bundle = Bundle(states, autonomous, self.sent, self._no_bodies if bodies is None else bodies)
         command = self.controller.step(Times(stamp_s, now_s), bundle, reference, params)
         return Output(*self._to_controls(command, states.visible & usable, self.controller.saturated))
 

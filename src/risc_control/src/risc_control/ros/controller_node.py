@@ -80,7 +80,8 @@ class ControllerNode:
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
         self._everyone = list(range(len(self.names)))
         self._all = np.ones(len(self.names), dtype=bool)
-        self._reader, self._message = StatesReader(self.names), ControlsMessage(self.names)
+        self._reader = StatesReader(self.names, [vehicle.carries for vehicle in fleet_vehicles])
+        self._message = ControlsMessage(self.names)
         self._trajectories = TrajectoriesArrays()
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._report = rospy.Publisher("/controller_report", ControllerReport, queue_size=10, tcp_nodelay=True)
@@ -188,6 +189,7 @@ class ControllerNode:
         started_s = time.perf_counter()
         with self._lock:
             header, states = self._reader.read(message.buff)
+            bodies = self._reader.bodies
             stamp_s, now_s = header.stamp.to_sec(), ros_time_s()
             step = self._stamps.look(stamp_s)
             if step is Step.REFUSED:
@@ -198,11 +200,11 @@ class ControllerNode:
             if abs(age_s) > self._state_timeout_s:
                 # nothing that happened so long ago says what to do now
                 self._counts["late"] += 1
-                states = states._replace(visible=np.zeros(len(self.names), dtype=bool))
+                states, bodies = states._replace(visible=np.zeros(len(self.names), dtype=bool)), None
             sent_s = min(now_s, stamp_s + self._state_timeout_s)
             values, usable = self._references(self._loop.times_s(stamp_s, sent_s), now_s)
             present, ahead = self._loop.pick(values)
-            output = self._loop.update(stamp_s, sent_s, states, present, ahead, usable, self._autonomous)
+            output = self._loop.update(stamp_s, sent_s, states, present, ahead, usable, self._autonomous, bodies)
             # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
             # a state or a reference behind it would look alive.
             known = usable & states.visible

@@ -15,10 +15,12 @@ _RAD_PER_DEG = math.pi / 180.0
 
 
 class StatesReader:
-    """States of these vehicles from /cortex_raw, message after message."""
+    """States of these vehicles, and of what they carry, from /cortex_raw, message after message."""
 
-    def __init__(self, names):
-        self._names = tuple(names)
+    def __init__(self, names, carried=()):
+        """carried: name of what each vehicle carries, None where that is nothing; () when nobody's is wanted."""
+        self._names, self._carried = tuple(names), tuple(carried) if any(carried) else ()
+        self.bodies = None  # `controllers.Bundle.bodies` of the newest message; None when nobody carries anything
         self._message = CortexArrays(())
         self._adopt()
         self._states()
@@ -26,7 +28,8 @@ class StatesReader:
     def read(self, buff):
         """(header, States of the vehicles in the order of the names) of a message's bytes.
 
-        A vehicle that the message lacks, or whose numbers are not finite, is not visible, and its numbers are 0.
+        A vehicle that the message lacks, or whose numbers are not finite, is not visible, and its numbers are 0; so are
+        those of `bodies`.
         """
         message = self._message.deserialize(buff)
         if message.data is not self._data:
@@ -38,13 +41,17 @@ class StatesReader:
         message = self._message
         self._data, self._degrees, self._seen = message.data, message.states, message.visible
         at = {name: row for row, name in enumerate(message.names)}
-        self._rows = np.array([at.get(name, -1) for name in self._names], dtype=np.intp)
-        self.unknown = sorted(set(at) - set(self._names))  # names of the newest message that are not ours
+        self._rows = np.array([at.get(name, -1) for name in self._names + self._carried], dtype=np.intp)
+        self.unknown = sorted(set(at) - {*self._names, *self._carried})  # names of the newest message, not ours
 
     def _states(self):
-        visible, x = np.empty(len(self._names), dtype=bool), np.empty((len(self._names), len(S)))
+        visible, x = np.empty(len(self._rows), dtype=bool), np.empty((len(self._rows), len(S)))
         _pick_states(self._degrees, self._seen, self._rows, visible, x)
-        return States(visible, x)
+        if not self._carried:
+            return States(visible, x)
+        n = len(self._names)
+        self.bodies = States(visible[n:], x[n:])
+        return States(visible[:n], x[:n])
 
 
 @compiled

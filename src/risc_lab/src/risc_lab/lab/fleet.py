@@ -48,10 +48,10 @@ class MocapEndpoint(Settings):
 
 @dataclass(frozen=True)
 class AttachedBody(Settings):
-    """What a vehicle carries that moves by itself, e.g. a pendulum (virtual lab only)."""
+    """What a vehicle carries that moves by itself, e.g. a pendulum."""
 
-    body: Name  # name among the bodies, see risc_simulator.bodies
-    template: Name  # mocap template of its markers
+    body: Name  # name among the bodies, see risc_simulator.bodies (virtual lab only)
+    template: Name  # mocap template of its markers; controllers get its state
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,11 @@ class FleetVehicle(Settings):
             raise ValueError(
                 "overrides: unknown key(s) %s; known are %s" % (", ".join(unknown), ", ".join(OVERRIDABLE))
             )
+
+    @property
+    def carries(self):
+        """Mocap template of what is attached to it, None when nothing is."""
+        return self.attached.template if self.attached else None
 
     @property
     def vehicle_type(self):
