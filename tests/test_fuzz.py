@@ -10,6 +10,7 @@ import json
 import math
 import pathlib
 import re
+import shutil
 import struct
 import subprocess
 
@@ -30,24 +31,42 @@ from roscopter.wire import FrameReader
 from rosserial_python import protocol
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
+CORTEX = ROOT / "src/cortex_ros"
 GOLDEN = ROOT / "src/drivers/ardrone_autonomy/test/golden"
 FEW, MANY = 100_000, 10_000_000
 PERIOD_S = 0.005  # between inputs, for what keeps time
 
 
-def test_cortex_decoder_survives_a_bounded_run(tmp_path, inputs):
-    """C++, under the address and undefined-behaviour sanitizers, inputs led by coverage."""
-    runs = inputs(FEW, MANY)
-    done = subprocess.run(
-        [str(ROOT / "src/cortex_ros/test/fuzz/run.sh"), str(runs), str(tmp_path)],
+def fuzz_cortex_decoder(package, runs, build):
+    return subprocess.run(
+        [str(package / "test/fuzz/run.sh"), str(runs), str(build)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
     )
+
+
+def test_cortex_decoder_survives_a_bounded_run(tmp_path, inputs):
+    """C++, under the address and undefined-behaviour sanitizers, inputs led by coverage."""
+    runs = inputs(FEW, MANY)
+    done = fuzz_cortex_decoder(CORTEX, runs, tmp_path)
     assert done.returncode == 0, done.stdout[-4000:]
     finished = re.search(r"Done (\d+) runs", done.stdout)
     assert finished and int(finished.group(1)) >= runs, done.stdout[-2000:]
+
+
+def test_cortex_decoder_without_its_length_check_is_noticed(tmp_path):
+    """The control arm, of a copy: no macro in the decoder can leave the check out."""
+    package = tmp_path / "cortex_ros"
+    for folder in ("include", "src", "test"):
+        shutil.copytree(CORTEX / folder, package / folder)
+    source = package / "src/protocol.cpp"
+    sound = source.read_text(encoding="utf-8")
+    assert sound.count("if (size > left_) {") == 1
+    source.write_text(sound.replace("if (size > left_) {", "if (false) {"), encoding="utf-8")
+    done = fuzz_cortex_decoder(package, FEW, tmp_path / "build")
+    assert done.returncode != 0 and "ERROR: AddressSanitizer: heap-buffer-overflow" in done.stdout, done.stdout[-4000:]
 
 
 class NoticedError(AssertionError):

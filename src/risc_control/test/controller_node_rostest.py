@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The controller nodes on their topics: stamps, names, signs, silence, weights in flight."""
 
+import contextlib
 import itertools
 import math
 import threading
@@ -100,6 +101,21 @@ class ControllerNodeTest(unittest.TestCase):
         self.assertEqual(set(itertools.chain(*found)) - set(names), set())
         return next(controls for controls in found if len(controls) == len(names))
 
+    @contextlib.contextmanager
+    def other_states(self):
+        """(answers of the node that flies by /cortex_ekf, function that tells it a state of all)."""
+        answers, states = [], rospy.Publisher("/cortex_ekf", Cortex, queue_size=100)
+        subscriber = rospy.Subscriber("/ekf_controls", Controls, answers.append, queue_size=100)
+        wait_for(lambda: states.get_num_connections() and subscriber.get_num_connections(), "the node is there")
+
+        def tell(**place_m):
+            message = Cortex(Obj=[States(name=name, visible=True, z=1.0, **place_m) for name in NAMES])
+            message.header.stamp = rospy.Time.now()
+            states.publish(message)
+
+        yield answers, tell
+        subscriber.unregister()
+
     def test_answers_states_with_their_stamps(self):
         for topic in self.lab.received:
             self.newest(topic)
@@ -126,21 +142,16 @@ class ControllerNodeTest(unittest.TestCase):
 
     def test_it_flies_by_the_states_that_it_is_told_and_by_no_others(self):
         """States of a topic of its own, while /cortex_raw has another vehicle's place: nothing, then an answer."""
-        answers, states = [], rospy.Publisher("/cortex_ekf", Cortex, queue_size=100)
-        subscriber = rospy.Subscriber("/ekf_controls", Controls, answers.append, queue_size=100)
-        wait_for(lambda: states.get_num_connections() and subscriber.get_num_connections(), "the node is there")
-        before = len(self.lab.received["/controls"])
-        wait_for(lambda: len(self.lab.received["/controls"]) > before + 50, "the others answer /cortex_raw")
-        self.assertEqual(answers, [])
+        with self.other_states() as (answers, tell):
+            before = len(self.lab.received["/controls"])
+            wait_for(lambda: len(self.lab.received["/controls"]) > before + 50, "the others answer /cortex_raw")
+            self.assertEqual(answers, [])
 
-        def answered():
-            message = Cortex(Obj=[States(name=name, visible=True, z=1.0, x=-0.1) for name in NAMES])
-            message.header.stamp = rospy.Time.now()
-            states.publish(message)
-            return answers and len(answers[-1].Obj) == len(NAMES) and answers[-1].Obj[0].theta > 0.02
+            def answered():
+                tell(x=-0.1)
+                return answers and len(answers[-1].Obj) == len(NAMES) and answers[-1].Obj[0].theta > 0.02
 
-        wait_for(answered, "forward, to where the reference is")
-        subscriber.unregister()
+            wait_for(answered, "forward, to where the reference is")
 
     def test_signs_by_name(self):
         for topic in self.lab.received:
@@ -176,12 +187,21 @@ class ControllerNodeTest(unittest.TestCase):
             self.assertGreater(controls["albatross"].theta, 0.02)
 
     def test_who_has_no_reference_gets_no_command(self):
-        """As when the trajectory node dies: silence is what the vehicle node's loss ladder acts on."""
+        """As when the trajectory node dies: silence is what the vehicle node's loss ladder acts on. A node with a long
+        `reference_timeout` flies on.
+        """
         self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))
         self.lab.referenced = ("albatross",)
         for topic in self.lab.received:
             controls = self.newest(topic, ("albatross",), after_s=0.6)
             self.assertGreater(controls["albatross"].theta, 0.02)
+        with self.other_states() as (answers, tell):
+
+            def answered():
+                tell()
+                return answers and len(answers[-1].Obj) == len(NAMES)
+
+            wait_for(answered, "a command for one without a reference, where nobody looks at its age")
 
     def test_old_states_are_not_flown_on(self):
         self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))

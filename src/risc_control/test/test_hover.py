@@ -382,6 +382,11 @@ def test_a_node_that_ends_has_it_land_by_itself():
     assert desk.iris.mode == "LAND"
     desk.run(4.0, lambda: not desk.iris.armed)
     assert desk.iris.stands and desk.iris.impact_m_s < 0.7
+    dead = flown()
+    dead.run(0.5)
+    dead.alive.discard("node")
+    dead.run(0.5)
+    assert dead.iris.mode == "STABILIZE" and not dead.iris.stands, "without last orders it flies on"
 
 
 @pytest.mark.parametrize("first", ["state", "telemetry"])

@@ -8,6 +8,7 @@ import pytest
 from joystick_desk import EMERGENCY, SHUT_DOWN, TAKEOFF_LAND, TOGGLE, UP, JoystickDesk
 from scipy.integrate import solve_ivp
 
+from risc_control.failsafe import SafetyLadder
 from risc_control.joystick import Sticks
 from risc_control.safety import FailsafeLevel, Rule, fence_of
 from risc_control.separation import ALONE, Look
@@ -181,13 +182,17 @@ def test_preflight_checks_let_take_off_what_is_ready():
     assert "has not seen it" in texts(desk.press(TAKEOFF_LAND))
 
 
-def test_no_take_off_while_a_joystick_is_lost():
-    """The person's, with the emergency stop: the virtual operator is there still."""
-    desk = Desk(joystick_timeout=1.0)
+@pytest.mark.parametrize("limit_s", [1.0, 0.0])
+def test_no_take_off_while_a_joystick_is_lost(limit_s):
+    """The person's, with the emergency stop: the virtual operator is there still. Without the limit it takes off."""
+    desk = Desk(joystick_timeout=limit_s)
     for sender in ("/joy_node", "/operator", "/joy_node"):
         desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, sender=sender)
     desk.run(1.1)
     orders = desk.press(TAKEOFF_LAND)
+    if limit_s == 0.0:
+        assert orders.takeoff
+        return
     assert not orders.takeoff and "joystick /joy_node has fallen silent" in texts(orders)
     desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, sender="/joy_node")
     assert desk.press(TAKEOFF_LAND).takeoff
@@ -208,6 +213,31 @@ def test_without_navdata_the_button_lands():
     orders = desk.press(TAKEOFF_LAND)
     assert (orders.takeoff, orders.land) == (False, True)
     assert "nothing was heard" in texts(orders)
+    assert len(orders.refusals) == 1 and "look at its Wi-Fi" in orders.refusals[0]
+    assert "take-off refused: " + orders.refusals[0] in texts(orders)
+    desk.run(0.1)
+    assert desk.press(TAKEOFF_LAND).refusals == [], "it is heard now, and takes off"
+
+
+@pytest.mark.parametrize("looks", [True, False])
+def test_no_take_off_when_the_last_word_of_one_that_stands_is_old(looks, monkeypatch):
+    """Without a look at the age of what it said it takes off."""
+    desk = Desk()
+    desk.alive.remove("navdata")
+    desk.run(1.1)
+    if not looks:
+        monkeypatch.setattr(SafetyLadder, "navdata_is_fresh", lambda *_: True)
+    orders = desk.press(TAKEOFF_LAND)
+    assert (orders.takeoff, orders.land) == (not looks, looks)
+    assert ["look at its Wi-Fi" in text for text in orders.refusals] == [True] * looks
+
+
+def test_a_landing_of_one_that_is_silent_in_the_air_is_no_refusal():
+    desk = Desk().fly()
+    desk.alive.remove("navdata")
+    desk.run(1.1)
+    orders = desk.press(TAKEOFF_LAND)
+    assert orders.land and orders.refusals is None
 
 
 @pytest.mark.parametrize("limit_s", [1.0, 0.4, 0.0])
@@ -403,13 +433,14 @@ def test_needs_landing_until_it_reports_that_it_lands():
     assert desk.pilot.needs_landing(desk.now_s), "an old report"
 
 
-def test_takeoff_is_refused_on_an_empty_battery():
-    desk = Desk()
+@pytest.mark.parametrize("limits", [{}, {"battery_min_pct": 0.0}])
+def test_takeoff_is_refused_on_an_empty_battery_unless_the_limit_is_off(limits):
+    desk = Desk(**limits)
     desk.battery = 9.0
     desk.run(0.1)
     orders = desk.press(TAKEOFF_LAND)
-    assert not orders.takeoff
-    assert "battery" in texts(orders)
+    assert orders.takeoff is bool(limits)
+    assert ("battery" in texts(orders)) is not bool(limits)
 
 
 def test_holding_the_button_counts_once():
@@ -439,13 +470,24 @@ def test_shut_down_button():
     assert Desk().press(SHUT_DOWN).shut_down
 
 
-def test_last_orders_are_level_and_land_and_nothing_follows():
+@pytest.mark.parametrize("ends", [True, False])
+def test_last_orders_are_level_and_land_and_nothing_follows(ends, monkeypatch):
+    """Were the end not remembered, the controller would fly on after the last order, and the button take off."""
+    if not ends:
+        monkeypatch.setattr(VehiclePilot, "_ended", property(lambda _: False, lambda *_: None), raising=False)
     desk = Desk().fly(autonomous=True)
+    desk.control = Controls(0.1, 0.0, 0.0, HOVER_N)
+    assert desk.run(0.1)[-1][1].left == pytest.approx(0.1)
+    assert desk.count("land") == 0, "without them it flies on"
     orders = desk.pilot.on_shutdown(desk.now_s)
     assert orders.land
     assert orders.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), None)
-    assert desk.run(1.0) == [], "controls still arrive while the node ends"
-    assert not desk.press(TAKEOFF_LAND).takeoff
+    follows = desk.run(1.0)  # controls still arrive while the node ends
+    assert (follows == []) is ends
+    assert ends or follows[-1][1].left == pytest.approx(0.1)
+    desk.flight_state = FlightState.LANDED
+    desk.run(0.1)
+    assert desk.press(TAKEOFF_LAND).takeoff is not ends
     assert desk.press(EMERGENCY).reset
 
 
@@ -620,10 +662,28 @@ def test_slots_keep_the_average_rate():
     assert sum(slots.due(t) for t in times) == pytest.approx(600, abs=1)
 
 
-def test_a_command_that_is_no_number_is_ignored():
+def _believe_all_commands(monkeypatch):
+    """Nobody looks whether a command is of numbers."""
+
+    def hear(pilot, own, age_s, now_s):
+        pilot.ladder.controls.note(age_s, now_s)
+        return True
+
+    monkeypatch.setattr(VehiclePilot, "hear_controls", hear)
+
+
+@pytest.mark.parametrize("looks", [True, False])
+@pytest.mark.parametrize("what", Controls._fields)
+def test_a_command_that_is_no_number_is_ignored(what, looks, monkeypatch):
+    """Without the look at it the vehicle is sent it."""
+    if not looks:
+        _believe_all_commands(monkeypatch)
     desk = Desk().fly(autonomous=True)
-    desk.control = Controls(math.nan, 0.0, 0.0, HOVER_N)
+    desk.control = desk.control._replace(**{what: math.nan})
     sent = desk.run(0.09)
+    if not looks:
+        assert sent and all(math.isnan(sum(sticks)) for _, sticks, _ in sent)
+        return
     assert sent == []
     assert any("not finite" in texts(orders) for _, orders in desk.orders)
     assert desk.run(0.1)[0][1] == Sticks(0.0, 0.0, 0.0, 0.0), "and then it is a loss like any other"
@@ -735,9 +795,13 @@ def test_its_own_velocity_counts_where_its_bottom_camera_sees_the_floor(sees_the
     assert (min(sticks.forward for sticks in told) > -0.6) == sees_the_floor, "else braked in full"
 
 
-def test_commands_that_are_no_numbers_are_as_silence_and_named():
+def test_commands_that_are_no_numbers_are_as_silence_and_named(monkeypatch):
     desk = Desk().fly(autonomous=True)
-    desk.control = Controls(math.nan, 0.0, 0.0, HOVER_N)
+    desk.control = Controls(0.0, 0.0, math.nan, HOVER_N)
+    with monkeypatch.context() as off:
+        _believe_all_commands(off)
+        desk.run(0.7)
+        assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK, "they would be a sign of life"
     desk.run(0.15)
     verdict = desk.pilot.ladder.verdict
     assert (verdict.level, verdict.rule) == (FailsafeLevel.HOLD, Rule.CONTROLS) and "not finite" in verdict.reason

@@ -3,9 +3,13 @@
 import pathlib
 
 import pytest
+import yaml
 
 from risc_experiments import fly
-from risc_experiments.fly import arguments
+from risc_experiments.flight_record import write_flight
+from risc_experiments.fly import arguments, launch_arguments
+from risc_experiments.report import simulation_model
+from risc_lab.lab import load_fleet
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 
@@ -34,6 +38,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[3]
         (["--fault", "mocap_blackout@30"], "--fault"),  # all are home then
         (["df_demo", "--duration", "5", "--fault", "mocap_blackout@39"], "--fault"),
         (["--faults", "nowhere.yaml"], "--faults"),
+        (["--seed", "-1"], "--seed"),
     ],
 )
 def test_a_wrong_option_is_named(capsys, words, option):
@@ -49,6 +54,23 @@ def test_faults_come_from_the_command_line_and_from_a_file(tmp_path):
     args = arguments(["--fault", "wind:mild,risc2@3", "--fault", "mocap_blackout:3", "--faults", str(script)])
     assert [str(event) for event in args.faults] == ["wind:0.5,risc2@3", "mocap_blackout:3@0", "mocap_blackout:0.2@4"]
     assert arguments([]).faults == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "words", "seed"),
+    [("", [], 1), ("seed: 7", [], 7), ("seed: 0", [], 0), ("seed: 7", ["--seed=3"], 3), ("seed: 7", ["--seed=0"], 0)],
+)
+def test_a_file_of_faults_has_the_seed_unless_the_command_line_has_one(tmp_path, line, words, seed):
+    script = tmp_path / "faults.yaml"
+    script.write_text("%s\nfaults:\n  - {fault: mocap_blackout, duration_s: 0.2}\n" % line)
+    args = arguments(["--faults", str(script), *words])
+    assert args.seed == seed
+    fleet = load_fleet(ROOT / "launch/fleets/ardrones3.yaml")
+    assert launch_arguments(args, fleet, tmp_path)["seed"] == seed, "of the lab"
+    write_flight(args, fleet, ROOT, tmp_path)
+    assert yaml.safe_load((tmp_path / "flight.yaml").read_text())["seed"] == seed
+    (tmp_path / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict()))
+    assert simulation_model(args, tmp_path)["seed"] == seed, "of summary.json"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Every fault flies offline, on an AR.Drone and on an IRIS+, and ends as its entry calls safe."""
 
 import itertools
+import math
 
 import pytest
 
@@ -24,22 +25,30 @@ PASSING = {  # flown through, one after another: what is between NAME and the ne
         "mocap_blackout:0.3@15.5 host_restart:0.3@17 bare_floor:2@18.5"
     ),
 }
-LANDING = (  # (fault, types): vehicles that cannot go on
-    *[(fault, ("ardrone",)) for fault in ("flip:3", "freeze:3", "jump:1")],
-    *[(fault, ("ardrone",)) for fault in ("mocap_blackout:3", "occlusion:3", "burst:severe", "link_blackhole:5")],
-    *[(fault, ("ardrone",)) for fault in ("nan_markers:3", "garbage:3", "battery_failing:30", "host_restart:3")],
-    *[(fault, ("iris",)) for fault in ("battery_low:8", "link_blackhole:5", "wrong_axes:0.5")],
+LANDING = (  # (fault, types): vehicles that cannot go on, for so long that who does not land reaches the net
+    *[(fault, ("ardrone",)) for fault in ("flip:20", "freeze:20", "jump:2,duration_s=20", "mocap_blackout:20")],
+    *[(fault, ("ardrone",)) for fault in ("occlusion:20", "burst:severe", "link_blackhole:20", "nan_markers:20")],
+    *[(fault, ("ardrone",)) for fault in ("garbage:20", "battery_failing:30", "host_restart:20")],
+    *[(fault, ("iris",)) for fault in ("battery_low:8", "link_blackhole:20", "wrong_axes:20")],
 )
+LAND_BY_THEMSELVES = {  # in which vehicles without a ladder land, and why
+    "mocap_blackout:20",  # no frames, no commands: the AR.Drone's watchdog
+    "host_restart:20",  # the same
+    "burst:severe",  # the same, in one of the gaps
+    "link_blackhole:20",  # the same watchdog, and the failsafe of the IRIS+'s radio
+    "battery_failing:30",  # the aircraft's own limit
+    "battery_low:8",  # the autopilot's own limit
+}
 # what the states estimator puts right
 MENDED = (("marker_swap:3", ("ardrone",)), ("name_exchange:3", ("ardrone", "ardrone")))
 # of connections, answers and programs, which offline flights have not
 NOT_OFFLINE = {"cut", "wrong_reply", "node_kill", "node_stop"}
 
 
-def flown(faults, types, seed=1, course="circle"):
+def flown(faults, types, seed=1, course="circle", longer_s=0.0, **fields):
     events = tuple(map(parse_fault, faults))
-    duration_s = max(event.start_s for event in events)
-    return fly(Flight(course, vehicles=len(types), types=types, seed=seed, duration_s=duration_s, faults=events))
+    duration_s = max(event.start_s for event in events) + longer_s
+    return fly(Flight(course, len(types), seed, duration_s, types=types, faults=events, **fields))
 
 
 def test_each_fault_is_in_a_flight():
@@ -65,11 +74,22 @@ def test_they_are_flown_through(faults, kind):
 
 
 @pytest.mark.parametrize("fault, types", LANDING, ids=lambda value: value if isinstance(value, str) else value[0])
-def test_they_land_it(fault, types):
-    result = flown([fault + "@1"], types)
+@pytest.mark.parametrize("ladder", [True, False])
+def test_they_land_it(fault, types, ladder):
+    """The control arm, without the ladder: it ends in the net, but where the vehicle lands by itself."""
+    result = flown([fault + "@1"], types, seed=3, longer_s=15.0, node={"ladder": ladder})
     (outcome,) = result.faults
-    assert (outcome.outcome, outcome.safe) == ("landed", True)
-    assert not result.breaches and not result.contacts
+    lands = ladder or fault in LAND_BY_THEMSELVES
+    assert (outcome.outcome, outcome.safe) == (("landed", True) if lands else ("breach", False))
+    assert bool(result.breaches) is not lands and not result.contacts
+
+
+@pytest.mark.parametrize("ladder", [True, False])
+def test_without_a_watchdog_the_ladder_lands_it(ladder, monkeypatch):
+    """What is hidden above: frames, and with them commands, stop."""
+    monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", math.inf)
+    result = flown(["mocap_blackout:20@1"], ("ardrone",), seed=3, longer_s=15.0, node={"ladder": ladder})
+    assert [outcome.outcome for outcome in result.faults] == ["landed" if ladder else "breach"]
 
 
 @pytest.mark.parametrize("fault, types", [*MENDED, pytest.param("marker_swap:3", ("iris",), marks=pytest.mark.release)])

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from cortex_ros import wire
-from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults, parse_fault
+from risc_simulator.faults import (
+    REGISTRY,
+    FaultEvent,
+    FaultFile,
+    fault_settings,
+    load_fault_file,
+    load_faults,
+    parse_fault,
+)
 from risc_simulator.wires import MAX_HELD_BYTES, Wires
 
 GAP_S = 0.005
@@ -251,9 +259,18 @@ def test_a_file_of_faults(tmp_path):
         FaultEvent("drop", channel="risc1/*", severity=0.3, start_s=10.0, duration_s=5.0),
         FaultEvent("blackhole", channel="cortex/stream"),
     )
-    path.write_text("faults: [{fault: drop, channel: '*', strength: 1}]\n")
-    with pytest.raises(ValueError, match="strength"):
-        load_faults(path)
+    assert load_fault_file(path).seed is None
+    path.write_text("seed: 7\nfaults: [{fault: drop, channel: '*'}]\n")
+    assert load_fault_file(path) == FaultFile((FaultEvent("drop", channel="*"),), 7)
+    for content, named in (
+        ("faults: [{fault: drop, channel: '*', strength: 1}]", "strength"),
+        ("{faults: [], seed: -1}", "seed"),
+        ("{faults: [], seed: 1.5}", "seed"),
+        ("seed: 7", "'faults' is missing"),
+    ):
+        path.write_text(content)
+        with pytest.raises(ValueError, match=named):
+            load_faults(path)
 
 
 def test_a_clean_wire_hands_over_what_it_gets():

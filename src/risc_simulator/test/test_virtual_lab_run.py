@@ -176,6 +176,26 @@ def test_a_long_stall_stops_the_clock(net, clock, monkeypatch):
         lab.close()
 
 
+@pytest.mark.parametrize(
+    ("told", "line", "seed"),
+    [({}, "", 0), ({}, "seed: 7", 7), ({"seed": 3}, "seed: 7", 3), ({"seed": 0}, "seed: 7", 0)],
+)
+def test_a_file_of_faults_has_the_seed_unless_the_lab_is_told_one(net, clock, tmp_path, told, line, seed):
+    path = tmp_path / "faults.yaml"
+    path.write_text("%s\nfaults: [{fault: loss, severity: 0.5, start_s: 60}]\n" % line)
+    lab = LabOptions(faults=str(path), cameras_on_demand=True, **told).make_lab(make_fleet(net, 1))
+    try:
+        assert lab.statistics()["seed"] == seed
+        masses_kg = [v.plant.mass_kg for v in lab.world.vehicles.values()]
+    finally:
+        lab.close()
+    same = VirtualLab(make_fleet(net, 1), seed=seed)
+    try:
+        assert masses_kg == [v.plant.mass_kg for v in same.world.vehicles.values()]
+    finally:
+        same.close()
+
+
 def test_faults_by_name(net, clock):
     lab = VirtualLab(make_fleet(net, 1), live=True)
     try:

@@ -496,6 +496,9 @@ class VehiclePilot:
         """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
         fresh = self.ladder.navdata_is_fresh(now_s)
         if self.flight_state != FlightState.LANDED or not fresh:
+            if may_take_off and not fresh and not self.airborne:  # meant for a take-off, as far as can be known
+                text = "nothing is heard of the vehicle: switch it on, look at its %s and at its driver"
+                self._refuse([text % self._adapter.LINK], orders)
             self._order_landing(orders, now_s)
             unsure = "" if fresh else " (the vehicle is silent, so the button means land)"
             if self.flight_state is None:
@@ -506,11 +509,15 @@ class VehiclePilot:
         elif not may_take_off:
             orders.say("info", "no take-off: the button was pressed a while ago; release it and press again")
         else:
-            orders.refusals = list(self._refusals(now_s))
-            for refusal in orders.refusals:
-                orders.say("warn", "take-off refused: %s" % refusal)
+            self._refuse(list(self._refusals(now_s)), orders)
             if not orders.refusals:
                 self._take_off(orders, now_s)
+
+    def _refuse(self, refusals, orders):
+        """A take-off was asked for, and these speak against it; none: nothing does."""
+        orders.refusals = refusals
+        for refusal in refusals:
+            orders.say("warn", "take-off refused: %s" % refusal)
 
     def _take_off(self, orders, now_s):
         orders.takeoff = True

@@ -38,7 +38,7 @@ from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import load_calibration
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
-from risc_simulator.faults import load_faults
+from risc_simulator.faults import FaultFile, load_fault_file
 from risc_simulator.virtual_lab import LabOptions
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
@@ -47,6 +47,7 @@ SILENT_S = 5.0  # an operator who says nothing for so long has died
 HUNG_S = 15.0  # ... whom a fault lets hang is to go on: the ladders have landed all vehicles by then
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 CONTROLLER = "differential_flatness"
+SEED = 1  # of a flight that is told none
 STATES = "cortex_raw", "cortex_ekf"  # topics of states that a controller may fly by
 WAYPOINTS = "waypoints.yaml"  # those of the flight, in its folder
 BROWSER_PORT = 8080  # of the web page, unless another program has it
@@ -98,7 +99,8 @@ def options():
         metavar="S",
         help="time on each course (default: 30 s; df_demo, iris: 20 s, of which the way to a figure takes about 5 s)",
     )
-    add("--seed", type=number(0), default=1, metavar="N", help="of everything random (default: 1)")
+    seed_help = "of everything random (default: that of --faults FILE.yaml, else %d)" % SEED
+    add("--seed", type=number(0), metavar="N", help=seed_help)
     delay_help = "command delay (default: that of the type, e.g. 0.1 s)"
     add("--delay", type=number(0.0, LONGEST_DELAY_S), metavar="S", help=delay_help)
     rate_help = "of motion capture (default: 200, less if it must be)"
@@ -116,7 +118,8 @@ def options():
         "let a fault happen, so many seconds after all are on the course; repeatable. Which there are: ./maap faults"
     )
     add("--fault", type=fault_option, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", help=fault_help)
-    add("--faults", type=fault_file, default=(), metavar="FILE.yaml", help="the same from a file: its list `faults`")
+    faults_help = "the same from a file: its list `faults`; and its `seed`, if it has one"
+    add("--faults", type=fault_file, default=FaultFile(()), metavar="FILE.yaml", help=faults_help)
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
     return parser
@@ -141,7 +144,9 @@ def complete(args, error):
         error("--controller: %s" % problem)
     if args.fps is not None and args.experiment != "coop":
         error("--fps is for coop: the other experiments use no cameras")
-    args.faults = (*args.fault, *args.faults)
+    if args.seed is None:
+        args.seed = SEED if args.faults.seed is None else args.faults.seed
+    args.faults = (*args.fault, *args.faults.faults)
     del args.fault
     limit_s = course_s(operator_params(args))
     for event in args.faults:
@@ -151,9 +156,9 @@ def complete(args, error):
 
 
 def fault_file(path):
-    """Type of an option: faults.FaultEvents of a file."""
+    """Type of an option: faults.FaultFile."""
     try:
-        return load_faults(path)
+        return load_fault_file(path)
     except (ValueError, OSError) as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 

@@ -33,7 +33,7 @@ from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_lab.settings import Fraction, Settings, settings_from
 from risc_simulator.cortex_host import CortexHost
-from risc_simulator.faults import load_faults
+from risc_simulator.faults import FaultFile, load_fault_file
 from risc_simulator.injector import Injector
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
@@ -83,7 +83,7 @@ class LabOptions(Settings):
     """Options by name. An empty text or a negative number leaves what the fleet file and the vehicle types say."""
 
     fleet: str = _told("", "what flies, and at which addresses", "FLEET.yaml")
-    seed: int = _told(0, "same seed, same vehicles and noise", "N")
+    seed: int = _told(-1, "same seed, same vehicles and noise (default: that of the file of faults, else 0)", "N")
     ideal: bool = _told(False, "every vehicle is exactly what its type says")
     exact_markers: bool = _told(False, "cameras without noise, loss and ghosts")
     gusts: bool = _told(False, "moving air")
@@ -121,8 +121,9 @@ class LabOptions(Settings):
 
     def make_lab(self, fleet):
         """VirtualLab of a fleet. Raises ValueError and OSError."""
-        faults = load_faults(self.faults) if self.faults else ()
-        return VirtualLab(fleet, not self.cameras_on_demand, faults, **vars(self))
+        script = load_fault_file(self.faults) if self.faults else FaultFile(())
+        seed = self.seed if self.seed >= 0 else script.seed or 0
+        return VirtualLab(fleet, not self.cameras_on_demand, script.faults, **vars(self) | {"seed": seed})
 
 
 class VirtualLab:
@@ -136,7 +137,8 @@ class VirtualLab:
 
         events: faults.FaultEvents, which start when it does. options: fields of LabOptions.
         """
-        told = self.options = LabOptions(**options)
+        told = LabOptions(**options)
+        told = self.options = replace(told, seed=max(told.seed, 0))
         fleet = told.configure(fleet).with_overrides(command_delay_s=told.delay if told.delay >= 0.0 else None)
         self.fleet, seed = fleet, told.seed
         self._period_s = 1.0 / fleet.mocap.rate_hz

@@ -29,7 +29,7 @@ import numpy as np
 
 from risc_lab.lab.yaml_reader import load_yaml
 from risc_lab.registry import VARIABLE, Registry
-from risc_lab.settings import NotNegative, Settings, settings_from
+from risc_lab.settings import Count, NotNegative, Settings, settings_from
 
 REGISTRY = Registry("faults", __name__)
 EVERYONE = "*"  # in place of a vehicle
@@ -227,10 +227,18 @@ def _number(text, value):
 
 
 @dataclass(frozen=True)
-class _FaultFile(Settings):
+class FaultFile(Settings):
+    """What a YAML file of faults says."""
+
     faults: tuple[FaultEvent, ...]
+    seed: Count | None = None  # of the flight or the lab that they happen in, unless that is told another one
+
+
+def load_fault_file(path):
+    """FaultFile of a YAML file: its list `faults`, with the fields of FaultEvent, and `seed`. Raises ValueError."""
+    return settings_from(FaultFile, load_yaml(path), str(path))
 
 
 def load_faults(path):
-    """FaultEvents of a YAML file: its list `faults`, with the fields of FaultEvent. Raises ValueError."""
-    return settings_from(_FaultFile, load_yaml(path), str(path)).faults
+    """FaultEvents of such a file. Raises ValueError."""
+    return load_fault_file(path).faults
