@@ -127,6 +127,14 @@ def test_roslaunch_says_what_to_write(tmp_path):
     assert "fleet:=FILE" in done.stderr and "lab:=true" in done.stderr
 
 
+def test_two_launch_files_start_the_driver_of_ardrones():
+    """One for a vehicle by itself, one for those of a fleet file: its time-outs are set there and nowhere else."""
+    paths = [path for folder in (SRC, ROOT / "launch") for path in folder.rglob("*.launch")]
+    starts = [path for path in paths if 'type="ardrone_driver"' in path.read_text(encoding="utf-8")]
+    alone, fleet = SRC / "drivers/ardrone_autonomy/launch/ardrone.launch", ROOT / "launch/drivers/ardrone.launch"
+    assert sorted(starts) == sorted([alone, fleet])
+
+
 def test_arguments_are_listed_although_they_are_missing():
     listed = get_args([str(ROOT / "launch/Multi_Machine_Experiment.launch")])
     assert ASKS["Multi_Machine_Experiment"] | {"fleet"} <= set(listed)

@@ -1,4 +1,4 @@
-"""docs/first_controller.md, done as it says: its files are written, its controller and its flight are valid."""
+"""docs/first_controller.md: its files are written, its controller flies offline, its flight's command is valid."""
 
 import json
 import os

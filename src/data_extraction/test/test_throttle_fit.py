@@ -188,7 +188,7 @@ def test_a_flight_that_says_too_little_says_why(tmp_path, monkeypatch, capsys):
     assert len(fit_bag(bag, params=FitParams(order=1))[1].coefficients) == 2
     with pytest.raises(ValueError, match="no second in which IRIS was seen higher than 2 m"):
         fit_bag(bag, params=FitParams(min_height_m=2.0))
-    with pytest.raises(ValueError, match="nobody is called 'risc1'; flown by throttle: IRIS .iris1."):
+    with pytest.raises(ValueError, match="no vehicle 'risc1'; flown by throttle: IRIS .iris1."):
         fit_bag(bag, "risc1")
     untold = write(tmp_path / "untold.bag", (*data[:2], [(t_s, math.nan) for t_s, _ in data[2]]))
     with pytest.raises(ValueError, match="no vehicle has told a charge.*BATT_MONITOR"):

@@ -8,6 +8,7 @@ import numpy as np
 import rospy
 import rostest
 
+from risc_lab.ros.sender import sender
 from risc_lab.ros.testing import Listener, publishers_heard
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import CommandSent, CommandsSent
@@ -56,6 +57,10 @@ class LagCompensatorTest(unittest.TestCase):
     def test_states_that_are_too_old_show_nobody(self):
         answer = self.answer(lambda m: not m.Obj[0].visible, "nobody is visible", age_s=1.0)
         self.assertFalse(answer.Obj[1].visible)
+
+    def test_a_message_says_which_node_sent_it(self):
+        """Of any node: rospy may move where it keeps that."""
+        self.assertEqual(sender(self.answer(lambda m: True, "an answer")), "/Compensator")
 
 
 if __name__ == "__main__":

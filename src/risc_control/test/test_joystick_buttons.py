@@ -32,7 +32,7 @@ def desk(monkeypatch):
             """A message that arrives now."""
             message = Joy(buttons=[int(k in down) for k in range(8)])
             message.header.stamp = rospy.Time.from_sec(self.now_s - age_s)
-            message._connection_header = {"callerid": sender}
+            self.sender = sender
             self.receive(message)
 
     found = Desk()
@@ -40,6 +40,7 @@ def desk(monkeypatch):
     monkeypatch.setattr(joystick_buttons, "claim_buttons", lambda functions: None)
     monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback, **_: setattr(found, "receive", callback))
     monkeypatch.setattr(joystick_buttons, "ros_time_s", lambda: found.now_s)
+    monkeypatch.setattr(joystick_buttons, "sender", lambda message: found.sender)
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: found.logged.append(text % values))
     monkeypatch.setattr(rospy, "logerr_throttle", lambda _period_s, text: found.logged.append(text))
     return found

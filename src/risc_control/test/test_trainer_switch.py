@@ -270,12 +270,12 @@ def test_its_reports_say_so(monkeypatch):
 
     callbacks, told, now_s = {}, [], [50.0]
     monkeypatch.setattr(iris.time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(iris, "sender", lambda message: "/iris1/apm/roscopter")
     iris.Adapter.listen(
         "/iris1/", lambda status, who: told.append(status.state), lambda topic, _, call: callbacks.update({topic: call})
     )
 
     def hear(topic, message):
-        message._connection_header = {"callerid": "/iris1/apm/roscopter"}
         callbacks["/iris1/" + topic](message)
 
     def run(duration_s, received):

@@ -127,7 +127,7 @@ class TrajectoryNodeTest(unittest.TestCase):
     def test_3_nobody_flies_who_could_go_home(self):
         answer = rospy.ServiceProxy("/generic/trajectory_node/go_home", Trigger)()
         self.assertFalse(answer.success)
-        self.assertEqual(answer.message, "nobody is flying")
+        self.assertEqual(answer.message, "no vehicle is flying a course")
 
     def test_4_to_the_course_and_home(self):
         begin = rospy.get_time()

@@ -69,8 +69,8 @@ def test_chrony_is_not_believed_against_the_measurement(chrony, measured_s, leve
 
 
 def test_chrony_that_follows_another_is_told():
-    other, nobody = ClockState("chrony", True, 0.0, "127.0.0.7"), ClockState("chrony", False)
-    for state, text in ((other, "127.0.0.7"), (nobody, "nobody")):
+    other, alone = ClockState("chrony", True, 0.0, "127.0.0.7"), ClockState("chrony", False)
+    for state, text in ((other, "127.0.0.7"), (alone, "no other clock")):
         assert "chrony there follows %s" % text in clock_offset.combine(state, (0.0, 0.001), "127.0.0.1").text
     assert "chrony" not in clock_offset.combine(None, (0.0, 0.001), "127.0.0.1").text
 

@@ -66,7 +66,7 @@ def test_a_landmark_that_nobody_knows_is_told():
     window = window_of(places={"green": (2.0, 0.0, 1.0), "pink": (np.nan, 0.0, 0.0)})
     window.see_bearings(T0_S + 0.5, {"pink": (0.0, 0.0), "Orange": (0.0, 0.0), "green": (0.0, 0.0)})
     assert list(window.latest(10.0).names) == ["green"]
-    assert window.refused == {"nobody knows where pink is": 1, "nobody knows where Orange is": 1}
+    assert window.refused == {"the place of pink is not known": 1, "the place of Orange is not known": 1}
 
 
 def test_a_bearing_that_is_no_number_is_left_out_and_counted():

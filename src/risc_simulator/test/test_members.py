@@ -82,6 +82,12 @@ def fly(world):
     return np.array(rows)
 
 
+def test_a_vehicle_type_says_how_its_reports_are_repeated():
+    act = FaultEvent("navdata_freeze").module.make(1.0, np.random.default_rng(0))
+    heard = [act(datagram, 0.0) for datagram in (b"0.300", b"up 0.4", b"0.400", b"unknown")]
+    assert heard == [[(0.0, datagram)] for datagram in (b"0.300", b"up 0.4", b"0.300", b"unknown")]
+
+
 def test_a_vehicle_type_has_its_own_equations_and_leaves_the_others_alone():
     mixed, alone = make_world(ARDRONE, BALLOON, gusts=True), make_world(ARDRONE, gusts=True)
     rows = fly(mixed)

@@ -150,7 +150,7 @@ class TemplateNodesTest(unittest.TestCase):
             def says(text):
                 return lambda m: any("edge_drone" in s.name and text in s.message for s in m.status)
 
-            diagnostics.wait_for(says("nobody listens"), "an idle edge_drone")
+            diagnostics.wait_for(says("no result has a subscriber"), "an idle edge_drone")
             with Results("/camera/image_edge") as edges:
                 edges.wait_for(lambda m: m.header.frame_id == "eye", "edges")  # not those of the USB camera
                 self.assertEqual(drone.get_num_connections(), 1)

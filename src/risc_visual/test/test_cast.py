@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from drawn import NOW_S, scene
 from geometry_msgs.msg import Point
 from scipy.spatial.transform import Rotation
@@ -11,11 +12,12 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import vehicle_type_file
 from risc_lab.phases import phase_words
 from risc_msgs.msg import Cortex, States
 from risc_visual.drawing.cast import Index, reference_marks, title_text
 from risc_visual.drawing.palette import vehicle_colour
-from risc_visual.drawing.ros.airframes import AIRFRAMES
+from risc_visual.drawing.ros.airframes import parts_of
 
 NAN = float("nan")
 
@@ -92,14 +94,25 @@ def test_type_chooses_the_airframe():
     found = drawn_of(scene(fleet), state("IRIS"), state("odd"), state("Raven"))
     hulls_m = {name: parts[0].scale.x for name, parts in found.items()}
     assert hulls_m == {
-        "IRIS": AIRFRAMES["iris"][0].size_m[0],
-        **dict.fromkeys(("odd", "Raven"), AIRFRAMES["ardrone"][0].size_m[0]),
+        "IRIS": parts_of("iris")[0].size_m[0],
+        **dict.fromkeys(("odd", "Raven"), parts_of("ardrone")[0].size_m[0]),
     }
 
 
-@pytest.mark.parametrize("name", sorted(AIRFRAMES))
+def test_a_type_from_elsewhere_says_its_size(tmp_path, monkeypatch):
+    content = yaml.safe_load(vehicle_type_file("ardrone").read_text(encoding="utf-8"))
+    (tmp_path / "vehicle_types").mkdir()
+    for name, size in (("small", {"arm_m": 0.05, "rotor_m": 0.06, "hull_m": [0.04, 0.03, 0.02]}), ("plain", None)):
+        text = yaml.safe_dump({**content, "name": name, "airframe": size})
+        (tmp_path / "vehicle_types" / (name + ".yaml")).write_text(text, encoding="utf-8")
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(tmp_path))
+    assert parts_of("small")[0].size_m == (0.04, 0.03, 0.02)
+    assert parts_of("plain") == parts_of("ardrone")
+
+
+@pytest.mark.parametrize("name", ["ardrone", "iris"])
 def test_airframes_are_symmetric_with_a_painted_front(name):
-    parts = AIRFRAMES[name]
+    parts = parts_of(name)
     rotors = [part for part in parts if part.shape == Marker.CYLINDER]
     assert len(rotors) == 4
     np.testing.assert_allclose(np.sum([part.centre_m[:2] for part in rotors], axis=0), (0, 0), atol=1e-12)

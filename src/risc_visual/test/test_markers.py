@@ -11,7 +11,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from risc_control.safety import FailsafeLevel, Verdict
 from risc_lab.frames import rotation_body_to_cortex
 from risc_visual.drawing.ros import markers
-from risc_visual.drawing.ros.airframes import AIRFRAMES
+from risc_visual.drawing.ros.airframes import parts_of
 from risc_visual.drawing.trails import MAX_PIECES
 
 
@@ -63,7 +63,7 @@ def test_markers_nobody_sees_are_left_out():
 def test_parts_sit_where_the_body_carries_them():
     R = rotation_body_to_cortex(*np.radians((2.0, -3.0, 100.0)))
     found, _ = scene().vehicles(cortex({"Raven": (1.0, 2.0, 3.0)}, psi_deg=100.0), NOW_S)
-    parts = AIRFRAMES["ardrone"]
+    parts = parts_of("ardrone")
     assert [m.id for m in found] == list(range(1, len(parts) + 1))
     for part, m in zip(parts, found):
         at_m = (m.pose.position.x, m.pose.position.y, m.pose.position.z)

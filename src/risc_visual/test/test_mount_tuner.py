@@ -212,7 +212,7 @@ def test_the_text_in_the_view():
     assert rms_deg == pytest.approx(3.0, abs=0.1)  # a turn moves what is above or below the axis a little less
     assert rms_px == pytest.approx(580.0 * math.radians(3.0), rel=0.3)
     assert lines[1] == "window: %d bearings to solve on, %d to check on" % tuple(len(w.times_s) for w in windows)
-    assert lines[2:] == ["left out: 1, nobody knows where unheard_of is"]
+    assert lines[2:] == ["left out: 1, the place of unheard_of is not known"]
     still = MountTuner(VEHICLE)
     lines = still.lines(still.window.latest(3.0), *fill(still, moving=False))
     assert "x is " in lines[2]

@@ -163,7 +163,8 @@ class BearingCollector(Collector):
                 result.notes.append(str(error))
                 continue
             if camera is None:
-                result.notes.append("%s: no calibration, so nobody knows what was in view" % vehicle)
+                text = "%s: what was in view is not known: there is no calibration in the bag or in the fleet file"
+                result.notes.append(text % vehicle)
             observer = Observer(camera, mounts[vehicle])
             result.vehicles[vehicle] = self._compare(name, vehicle, observer, discs, topic, delay_s, result.notes)
         result.best_delay_s, result.best_delay_rms_deg = self._best_delay(result.vehicles, mounts, discs, topic)
@@ -221,7 +222,7 @@ class BearingCollector(Collector):
                 ratio = _normalised(angles_deg, error, covariances.get((stamp_s, index)), observer.camera)
                 target.rows.append((stamp_s, *angles_deg, *error, whole, ratio))
         if unknown:
-            notes.append("%s: nobody knows where %s was" % (vehicle, ", ".join(sorted(unknown))))
+            notes.append("%s: the bag does not say where %s was" % (vehicle, ", ".join(sorted(unknown))))
         return targets
 
     def _best_delay(self, vehicles, mounts, discs, topic):

@@ -169,7 +169,7 @@ class FlightCollector(Collector):
         states = recording.parts(source)
         references = recording.parts(REFERENCES, states)
         if not references:
-            notes.append("there is no /trajectory in the bag: nobody knows where the vehicles should have been")
+            notes.append("there is no /trajectory in the bag, so the errors of the vehicles are not known: record it")
         unknown = sorted(set(references) - set(states))
         if unknown:
             notes.append("%s never shows %s, which /trajectory names" % (source, ", ".join(unknown)))

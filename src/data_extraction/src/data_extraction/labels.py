@@ -50,7 +50,7 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
         topics = _picture_topics(bag, topics)
         if not bag.topics.get(params.states_topic):
             raise BagError(
-                "%s has no %s, so nobody knows where the vehicles were: record it, or name another topic with --states"
+                "%s has no %s, which says where the vehicles were: record it, or name another topic with --states"
                 % (bag.path, params.states_topic)
             )
         for message in bag.messages([topic for topic in bag.topics if surroundings.wants(topic)]):

@@ -232,7 +232,7 @@ class _Material:
         wanted = [key for key in known if vehicle in (None, *key)]
         names = ", ".join("%s (%s)" % (name, namespace) for namespace, name in known)
         if not wanted:
-            raise ValueError("nobody is called '%s'; flown by throttle: %s" % (vehicle, names))
+            raise ValueError("no vehicle '%s'; flown by throttle: %s" % (vehicle, names))
         if len(wanted) > 1:
             raise ValueError("which vehicle? Flown by throttle: %s; choose with --vehicle" % names)
         ((namespace, name),) = wanted

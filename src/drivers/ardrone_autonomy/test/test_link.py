@@ -421,7 +421,7 @@ def test_a_reset_during_silence_is_held_as_long_as_any_other(bench):
     assert not bench.ref & at.Ref.START
     bench.run(0.1)
     assert bench.ref == at.Ref.PADDING
-    assert "nobody knows" in bench.texts("warn")[-1]
+    assert "not known" in bench.texts("warn")[-1]
 
 
 def test_a_lost_vehicle_is_sent_a_reset_blind(bench):

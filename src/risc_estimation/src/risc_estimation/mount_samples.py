@@ -73,7 +73,7 @@ class BearingWindow:
             if not np.all(np.isfinite(bearing_rad)):
                 self.refused["the bearing is no number"] += 1
             elif name not in self._places:
-                self.refused["nobody knows where %s is" % name] += 1
+                self.refused["the place of %s is not known" % name] += 1
             else:
                 self._waiting.append((stamp_s, name, rays_of_bearings(*bearing_rad)))
         self._place()

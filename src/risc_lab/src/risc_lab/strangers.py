@@ -48,7 +48,7 @@ class Strangers:
         times = self._times.copy()
         others = times.pop(None, 0)
         named = ["%s: %d" % item for item in times.most_common()] + ["others: %d" % others] * bool(others)
-        return ", ".join(named) or "nobody"
+        return ", ".join(named) or "none"
 
 
 class Guests:

@@ -406,7 +406,7 @@ class DroneLink:
             self._select = False
             text = "the reset had no effect: the cause of the emergency persists, or the link is bad"
             if not self.connected:
-                text = "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S
+                text = "the reset was sent for %.1f s without telemetry, its effect is not known" % RESET_TIMEOUT_S
             self._report("warn", text)
         self._pilot(self._sticks, self._start, self._select)
         if self._watchdog_reset:

@@ -27,7 +27,7 @@ def check(device):
     if network and not 0 < network[1][1] < 65536 or not network and re.match(r"\w+:", device):
         raise ValueError("device %r is none: give %s" % (device, FORMS))
     if network and network[0] in ("udpin", "udp") and network[2] is None and not _is_loopback(network[1][0]):
-        text = "device %r hears whoever in the network speaks first: append :VEHICLE, the address of the vehicle"
+        text = "device %r would take the first sender for the vehicle: append :VEHICLE, the address of the vehicle"
         raise ValueError(text % device)
 
 

@@ -14,6 +14,7 @@ from sensor_msgs.msg import Joy
 
 from risc_control.joystick import LATE_S, ButtonPresses
 from risc_lab.ros.clock import ros_time_s
+from risc_lab.ros.sender import sender
 from risc_lab.ros.ticker import guarded
 from risc_lab.settings import Positive, Settings
 
@@ -29,11 +30,6 @@ def origin(message):
     stamp_s = message.header.stamp.to_sec()
     age_s = ros_time_s() - stamp_s if stamp_s else 0.0
     return age_s, sender(message)
-
-
-def sender(message):
-    """Name of the node that sent it."""
-    return message._connection_header.get("callerid", "")  # rospy has no public name for it
 
 
 def claim_buttons(functions, topics=("joy",)):

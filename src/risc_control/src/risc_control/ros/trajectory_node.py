@@ -104,8 +104,8 @@ class ManagerWiring:
         self.announce(course)
         self._watcher = None
         self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
-        self._serve("~go_home", self.manager.go_home, "going home", "nobody is flying")
-        self._serve("~start", self.manager.start, "starting", "nobody is home and flown automatically")
+        self._serve("~go_home", self.manager.go_home, "going home", "no vehicle is flying a course")
+        self._serve("~start", self.manager.start, "starting", "no vehicle hovers at home in autonomous mode")
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
             # every word: one that hung must not overlook that a vehicle was flown by hand meanwhile
@@ -121,7 +121,7 @@ class ManagerWiring:
             self._to_plan.set()
         waiting_for = self.manager.waiting_for(time_s)
         if waiting_for:
-            text = "nobody starts while %s hovers there and is not flown automatically (~wait_for_all)"
+            text = "no vehicle starts: %s hovers there in manual mode. Make it autonomous, or land it (~wait_for_all)"
             rospy.logwarn_throttle(5.0, text, ", ".join(waiting_for))
         if reference.phases != self._phases:
             self._phases = reference.phases

@@ -25,7 +25,7 @@ from risc_control.controller_stream import ControllerStream
 from risc_control.joystick import Button
 from risc_control.plausibility import Plausibility
 from risc_control.ros.conversions import command_sent
-from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
+from risc_control.ros.joystick_buttons import claim_buttons, origin
 from risc_control.safety import fence_of
 from risc_control.separation import ALONE, Separation
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
@@ -40,6 +40,7 @@ from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, Trajectori
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
+from risc_lab.ros.sender import sender
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import CommandsSent, EstimatorStatus, Safety, TakeoffRefusals, VehicleNodeStatus, VehicleStatus
 

@@ -23,6 +23,7 @@ import numpy as np
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.registry import Registry
+from risc_lab.ros.sender import sender
 
 
 class Command(NamedTuple):
@@ -105,6 +106,7 @@ class Adapter:
     FLIES_ITSELF = True  # takes off, hovers and lands when told to; False: its vehicle node does all that, see `hover`
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
     REPORTS = "reports"  # what people call what it says of itself
+    LINK = "link"  # and what that comes by
     COMMANDS = "commands"  # topic below its namespace on which it is sent its commands
     TOLD = {}  # {topic below its namespace: Told}
     SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
@@ -167,7 +169,7 @@ class Adapter:
 
         def on_message(message):
             battery_pct = message.battery_pct if math.isfinite(message.battery_pct) else None
-            on_status(Status(message.state, battery_pct), message._connection_header.get("callerid", ""))
+            on_status(Status(message.state, battery_pct), sender(message))
 
         subscribe(prefix + "vehicle_status", VehicleStatus, on_message)
 

@@ -18,6 +18,7 @@ from risc_control.vehicles import Command, FlightState, Status, Told, climb_comm
 from risc_lab.command_history import ROWS, Channel, CommandHistory, last_by
 from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.ros.sender import sender
 
 
 class Adapter(vehicles.Adapter):
@@ -25,7 +26,7 @@ class Adapter(vehicles.Adapter):
 
     HOLDS_POSITION = True  # by its bottom camera and its height sensor
     FOLLOWS_CLIMB_RATE = True
-    REPORTS, COMMANDS = "navdata", "cmd_vel"
+    REPORTS, LINK, COMMANDS = "navdata", "Wi-Fi", "cmd_vel"
     TOLD = {
         "ardrone/takeoff": Told("Empty", lambda _: "take-off ordered", each=True),
         "ardrone/land": Told("Empty", lambda _: "landing ordered", each=True),
@@ -74,7 +75,7 @@ class Adapter(vehicles.Adapter):
         from ardrone_autonomy.msg import Navdata  # the rest needs no ROS, but for Link
 
         def on_navdata(message):
-            on_status(status(message), message._connection_header.get("callerid", ""))
+            on_status(status(message), sender(message))
 
         subscribe(prefix + "ardrone/navdata", Navdata, on_navdata)
 

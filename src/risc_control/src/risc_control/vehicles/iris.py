@@ -22,6 +22,7 @@ from risc_control.joystick import Sticks, limited
 from risc_control.vehicles import Command, FlightState, Status, Told
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.ros.sender import sender
 
 MODE = "STABILIZE"  # in which it takes our commands
 ANSWER_S = 4.0  # a service of its driver that has not answered by then is not waited for; arming takes up to 3 s
@@ -42,7 +43,7 @@ class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
 
     FLIES_ITSELF = False
-    REPORTS, COMMANDS = "telemetry", "controls"
+    REPORTS, LINK, COMMANDS = "telemetry", "telemetry radio", "controls"
     TOLD = {
         "apm/state": Told("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
         "ppm_status": Told("PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")),
@@ -232,13 +233,13 @@ class _Reports:
 
     def _tell_sensed(self, message, **sensed):
         """What its sensors say; what it does others say."""
-        self._on_status(Status(FlightState.UNKNOWN, None, **sensed), message._connection_header.get("callerid", ""))
+        self._on_status(Status(FlightState.UNKNOWN, None, **sensed), sender(message))
 
     def _tell(self, message, battery_pct=None):
         state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN
         if state == FlightState.FLYING and self._switch.is_off:
             state = FlightState.PILOT
-        self._on_status(Status(state, battery_pct), message._connection_header.get("callerid", ""))
+        self._on_status(Status(state, battery_pct), sender(message))
 
 
 class Link:

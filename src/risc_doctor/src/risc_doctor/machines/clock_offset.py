@@ -69,7 +69,7 @@ def combine(tracking, measured, server):
         if not agree:
             how += ", but says " + _offset_text(tracking.offset_s)
     elif tracking is not None:
-        how += "; chrony there follows " + (tracking.reference if tracking.synchronised else "nobody")
+        how += "; chrony there follows " + (tracking.reference if tracking.synchronised else "no other clock")
     return judge(offset_s, uncertainty_s, how, server)
 
 

@@ -62,7 +62,7 @@ def crash(vehicle, reason, safe):
 def gone(ended):
     """Violation of processes that nobody was to end; None. ended: of `Processes.ended`."""
     wrong = ["%s (process %d)" % (name, pid) for name, pid, killed in ended if not killed]
-    return Violation("process", "%s: ended, and nobody was to end it" % ", ".join(wrong)) if wrong else None
+    return Violation("process", "%s: ended, and no fault of this flight ended it" % ", ".join(wrong)) if wrong else None
 
 
 def not_back(missing_s, limits):
@@ -79,7 +79,7 @@ def not_ready(waited_s, why, limits):
     if waited_s <= limits.ready_s:
         return None
     return Violation(
-        "take-off", "nobody took off within %g s: %s" % (limits.ready_s, why or "the operator says nothing")
+        "take-off", "no vehicle took off within %g s: %s" % (limits.ready_s, why or "the operator says nothing")
     )
 
 

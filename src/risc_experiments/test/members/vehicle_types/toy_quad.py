@@ -9,6 +9,7 @@ from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
 from risc_control.vehicles import Status
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.ros.sender import sender
 
 CLIMB_GAIN_1_S = 3.0  # of the climb rate, when nobody commands a thrust
 
@@ -52,7 +53,7 @@ class Adapter(vehicles.Adapter):
 
         def on_message(message):
             state, battery_pct = message.data
-            on_status(Status(int(state), battery_pct), message._connection_header["callerid"])
+            on_status(Status(int(state), battery_pct), sender(message))
 
         subscribe(prefix + "toy/status", Float32MultiArray, on_message)
 

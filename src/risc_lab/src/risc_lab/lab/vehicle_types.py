@@ -44,6 +44,15 @@ class AttitudeLoop(Settings):
 
 
 @dataclass(frozen=True)
+class Airframe(Settings):
+    """A quadrotor in x configuration, as it is drawn."""
+
+    arm_m: Positive  # from its centre to the axis of a rotor
+    rotor_m: Positive  # diameter
+    hull_m: tuple[Positive, Positive, Positive]  # length, width, height
+
+
+@dataclass(frozen=True)
 class VehicleType(Settings):
     """Nominal model of one type of vehicle."""
 
@@ -72,6 +81,7 @@ class VehicleType(Settings):
     # [-] per percent^i: c0 to c4 of eq. 5.5, the throttle in [-1, 1] that hovers at a charge; () = no throttle stick
     hover_throttle: tuple[float, ...] = ()
     stick_dead_zone: between(0.0, 0.5) = 0.0  # of a stick's half travel around its centre, roll, pitch and yaw
+    airframe: Airframe | None = None  # what it is drawn as; None: as an AR.Drone
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
     # {controller: {key: value}} of its YAML file that the type has otherwise
     controllers: dict[str, dict[str, float]] = field(default_factory=dict, hash=False)

@@ -15,11 +15,15 @@ and, if filters are to have its sensors' readings in offline flights, too
                 None of a damaged packet
 and, if in offline flights its driver is another one than that of models/offline_link.py (sticks by radio),
     OfflineLink (vehicle, phase), with the names that are there
+and, if a fault is to freeze what it says of itself (navdata_freeze),
+    repeated    (told, datagram) -> datagram with the content of the first one of its kind, which told, a dict, keeps;
+                fresh sequence number, check sum that fits. What is no report of this type is returned as it is
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
 virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 from risc_lab.lab.calibration import CameraMount
@@ -51,6 +55,7 @@ class VirtualType(NamedTuple):
     cameras: tuple[VirtualCamera, ...]
     Telemetry: type | None
     OfflineLink: type
+    repeated: Callable | None
 
 
 @functools.cache
@@ -66,6 +71,7 @@ def virtual_type(name):
             tuple(getattr(module, "CAMERAS", ())),
             getattr(module, "Telemetry", None),
             getattr(module, "OfflineLink", offline_link.OfflineLink),
+            getattr(module, "repeated", None),
         )
     except AttributeError as error:
         raise ValueError("virtual vehicle %r (%s): %s" % (name, module.__file__, error)) from error

@@ -47,7 +47,7 @@ class BrowserPanel:
         gui.set_panel_label("RISC MAAP")
         gui.main_panel.dock_right()
         gui.add_html(PAGE_STYLE)
-        button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, whoever flies it")
+        button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, also one flown by hand")
         button.on_click(lambda _event: land_all())
         self.status = gui.add_html("")
         for name in names:  # a button each: one for several may say another vehicle by the time it is asked

@@ -97,7 +97,7 @@ def _make_keeper(drivers):
     try:
         return Keeper([driver.address for driver in drivers])
     except OSError as error:
-        rospy.logerr("nobody keeps the vehicles hovering if this driver dies or hangs: %s", error)
+        rospy.logerr("the keeper did not start, so no vehicle is landed if this driver dies or hangs: %s", error)
         return None
 
 

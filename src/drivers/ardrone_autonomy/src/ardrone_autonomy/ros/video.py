@@ -132,7 +132,7 @@ class Video:
         stream, decoder = self.stream, self.stream.decoder
         _, rates_hz = self._growth({"pictures": self._published})
         if not stream.wanted:
-            status.summary(DiagnosticStatus.OK, "not received: nobody listens, or the vehicle is not ready")
+            status.summary(DiagnosticStatus.OK, "not received: no subscriber, or the vehicle is not ready")
         elif not stream.connected:
             status.summary(DiagnosticStatus.WARN, "no connection to the video of the vehicle")
         elif stream.last_s is None or time.monotonic() - stream.last_s > STALE_S:

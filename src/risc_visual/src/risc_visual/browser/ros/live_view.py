@@ -103,7 +103,7 @@ class LiveView:
         elif params.guests:
             rospy.logwarn("who sees this page can land the vehicles: %s", ", ".join(params.guests))
         else:
-            rospy.logwarn("nobody else sees the page before ~guests names who may")
+            rospy.logwarn("no other computer can open the page: write the addresses that may into ~guests")
 
     def land_all(self):
         """Land every vehicle, and have the virtual operator, where there is one, let them stand."""

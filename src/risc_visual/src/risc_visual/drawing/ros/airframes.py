@@ -1,9 +1,13 @@
-"""Vehicles made of primitives, one drawing per type."""
+"""Vehicles made of primitives, of the sizes that their types say."""
 
 from typing import NamedTuple
 
 import numpy as np
 from visualization_msgs.msg import Marker
+
+from risc_lab.lab import load_vehicle_type
+
+_DEFAULT_TYPE = "ardrone"
 
 
 class Part(NamedTuple):
@@ -17,11 +21,18 @@ class Part(NamedTuple):
     points_m: tuple[tuple[float, float, float], ...] = ()  # lines: ends in turn; arrow: tail and tip
 
 
-def quadrotor(arm_m, rotor_m, hull_m):
-    """Parts of a quadrotor in x configuration: hull, arms, nose, rotors (front pair painted: so the nose is seen).
+def parts_of(type_name=_DEFAULT_TYPE):
+    """Parts of a vehicle of this type; those of an AR.Drone when it is not known, or says no size."""
+    try:
+        size = load_vehicle_type(type_name).airframe
+    except ValueError:
+        size = None
+    return _quadrotor(size or load_vehicle_type(_DEFAULT_TYPE).airframe)
 
-    arm_m: centre to rotor axis; rotor_m: rotor diameter; hull_m: (length, width, height).
-    """
+
+def _quadrotor(size):
+    """Parts of an `Airframe`: hull, arms, nose, rotors (front pair painted: so the nose is seen)."""
+    arm_m, rotor_m, hull_m = size.arm_m, size.rotor_m, size.hull_m
     corner = arm_m * np.sqrt(0.5)
     hubs = [(corner, corner), (corner, -corner), (-corner, -corner), (-corner, corner)]
     above, nose = -0.5 * hull_m[2], 0.5 * hull_m[0]
@@ -34,10 +45,3 @@ def quadrotor(arm_m, rotor_m, hull_m):
         Part(Marker.ARROW, True, 1.0, (0.02, 0.05, 0.07), points_m=tip),
         *(Part(Marker.CYLINDER, x > 0.0, 0.6, rotor, (x, y, above)) for x, y in hubs),
     )
-
-
-AIRFRAMES = {
-    "ardrone": quadrotor(arm_m=0.178, rotor_m=0.20, hull_m=(0.29, 0.12, 0.07)),
-    "iris": quadrotor(arm_m=0.275, rotor_m=0.25, hull_m=(0.22, 0.14, 0.09)),
-}
-DEFAULT_AIRFRAME = "ardrone"

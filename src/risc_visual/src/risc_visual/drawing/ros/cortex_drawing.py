@@ -14,7 +14,7 @@ from risc_lab.lab.arena import Arena
 from risc_lab.lab.templates import attached_bodies
 from risc_visual.drawing.cast import Index, is_news
 from risc_visual.drawing.palette import sphere_colours, vehicle_colour
-from risc_visual.drawing.ros.airframes import AIRFRAMES, DEFAULT_AIRFRAME
+from risc_visual.drawing.ros.airframes import parts_of
 from risc_visual.drawing.ros.markers import GREEN, LINE_M, ORANGE, ORIGIN, RED, TEXT_M, WHITE, Pen, header, is_known
 
 _TEXT_PERIODS = 3.0  # without news after which a text vanishes
@@ -33,7 +33,9 @@ class CortexDrawing:
     def __init__(self, params, fleet, templates, landmarks, arena=Arena()):
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
         self._index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
-        self._types = {vehicle.template: vehicle.type for vehicle in fleet}
+        airframes = {kind: parts_of(kind) for kind in {vehicle.type for vehicle in fleet}}
+        self._airframes = {vehicle.template: airframes[vehicle.type] for vehicle in fleet}
+        self._other_airframe = parts_of()  # of who is not in the fleet
         self._tips = attached_bodies(templates)
         self._colours = {name: rgb + (_SPHERE_ALPHA,) for name, rgb in sphere_colours(landmarks).items()}
         self._lifetime_s, self._label_rgba = params.lifetime_s, WHITE + (params.label_alpha,)
@@ -83,7 +85,7 @@ class CortexDrawing:
                 self._last[name] = at_m, Quaternion(*turn), places_m.tolist()
 
     def _parts(self, name):
-        return AIRFRAMES.get(self._types.get(name), AIRFRAMES[DEFAULT_AIRFRAME])
+        return self._airframes.get(name, self._other_airframe)
 
     def bodies(self, msg):
         """Mocap_data -> the markers of every body that are seen, as one list of spheres: ns = template."""

@@ -77,7 +77,7 @@ class PictureReader:
             took_s, self._took_s = self._took_s, []
         summarise(
             status,
-            (not self.is_open, DiagnosticStatus.OK, "waiting: nobody listens to a result"),
+            (not self.is_open, DiagnosticStatus.OK, "waiting: no result has a subscriber"),
             (new["refused"], DiagnosticStatus.ERROR, "pictures are refused: the log says why"),
             (is_silent(self._last_s), DiagnosticStatus.WARN, "no pictures on " + self.topic),
             (True, DiagnosticStatus.OK, "working"),
