@@ -71,8 +71,9 @@ def each_flown(folder, *faults):
         timed = ["%s@%g" % (text, FIRST_S + APART_S * k) for k, text in enumerate(left)]
         duration = ("--duration", "%g" % (FIRST_S + APART_S * len(left)))
         code, output, summary = flown(folder / str(len(outcomes)), *timed, options=(*MIXED, *duration))
+        assert code == 0, output
         found = summary["faults"]
-        assert code == 0 and found and all(fault["safe"] for fault in found), output
+        assert found and all(fault["safe"] for fault in found), output
         events = map(parse_fault, left[: len(found)])
         assert [(fault["name"], fault["args"]) for fault in found] == [(event.fault, event.args) for event in events]
         downs = [k for k, fault in enumerate(found, 1) if fault["outcome"] in ("landed", "breach")]

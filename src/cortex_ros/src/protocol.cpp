@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/endian/conversion.hpp>
+#include <boost/locale/utf.hpp>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -40,6 +41,17 @@ auto within(const char* place, std::size_t index, Part part) -> decltype(part())
   } catch (const ProtocolError& error) {
     fail(place, " ", index, ": ", error.what());
   }
+}
+
+// The text, if it is UTF-8: other bytes would make a message that nothing in ROS can read.
+std::string utf8(std::string text, const char* what) {
+  namespace utf = boost::locale::utf;
+  for (auto at = text.begin(); at != text.end();) {
+    if (!utf::is_valid_codepoint(utf::utf_traits<char>::decode(at, text.end()))) {
+      fail(what, " is not UTF-8");
+    }
+  }
+  return text;
 }
 
 // A cursor over (pointer, bytes left). Nothing is read that has not been taken from the bytes left first.
@@ -96,7 +108,7 @@ class Reader {
       fail(what, " of ", length, " bytes is above the limit of ", limit);
     }
     const std::uint8_t* start = take(length + 1, what);
-    return std::string(reinterpret_cast<const char*>(start), length);
+    return utf8(std::string(reinterpret_cast<const char*>(start), length), what);
   }
 
   Bytes rest() {
@@ -115,7 +127,7 @@ Identity decode_identity(Reader& in) {
   const std::uint8_t* name = in.take(kProgramNameBytes, "program name");
   // A field without NUL is cut at its last byte, where the NUL should have been.
   const auto* end = std::find(name, name + kProgramNameBytes - 1, std::uint8_t{0});
-  identity.name.assign(reinterpret_cast<const char*>(name), static_cast<std::size_t>(end - name));
+  identity.name = utf8(std::string(name, end), "program name");
   const std::uint8_t* version = in.take(identity.version.size(), "version");
   std::copy(version, version + identity.version.size(), identity.version.begin());
   return identity;

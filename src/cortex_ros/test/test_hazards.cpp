@@ -161,14 +161,23 @@ TEST(Frame, HundredEmptyBodiesAreFine) {
   EXPECT_EQ(decode_frame(no_more(packet).bytes()).bodies.size(), 100u);
 }
 
+Bytes frame_of_a_body(const std::string& name) {
+  RawPacket packet = frame_start(1).text(name).fill(12, 0);
+  return no_more(packet).bytes();
+}
+
+TEST(Frame, NameOfABodyIsUtf8) {
+  EXPECT_EQ(decode_frame(frame_of_a_body("Fl\xc3\xbcgel")).bodies[0].name, "Fl\xc3\xbcgel");
+  for (const char* name : {"Fl\xfcgel", "Raven\xc3", "\xd3", "\xed\xa0\x80", "\xc0\xaf"}) {
+    expect_refused(frame_of_a_body(name), "body 0: body name is not UTF-8");
+  }
+  expect_refused(RawPacket(0).text("C\xf6rtex").fill(131, 0).bytes(), "program name is not UTF-8");
+}
+
 TEST(Frame, NameOfABodyIsBounded) {
-  const auto with_name = [](const std::string& name) {
-    RawPacket packet = frame_start(1).text(name).fill(12, 0);
-    return no_more(packet).bytes();
-  };
-  EXPECT_EQ(decode_frame(with_name(std::string(127, 'n'))).bodies[0].name.size(), 127u);
-  expect_refused(with_name(std::string(128, 'n')), "body name of 128 bytes is above the limit of 127");
-  expect_refused(with_name(std::string(5000, 'n')), "body name of 5000 bytes");
+  EXPECT_EQ(decode_frame(frame_of_a_body(std::string(127, 'n'))).bodies[0].name.size(), 127u);
+  expect_refused(frame_of_a_body(std::string(128, 'n')), "body name of 128 bytes is above the limit of 127");
+  expect_refused(frame_of_a_body(std::string(5000, 'n')), "body name of 5000 bytes");
   expect_refused(frame_start(1).letters(std::string(60, 'n')).bytes(),
                  "body 0: body name has no terminating NUL");
 }
