@@ -16,6 +16,7 @@ PACKAGE = "risc_estimation"
 NAME = "synthetic_angles_node"
 PATIENCE_S = 60.0
 DELAY_S = 0.05
+RATE_HZ = 30.0  # of the pictures, as its launch file says
 YAW_RATE_DEG = 4.0
 
 
@@ -38,6 +39,11 @@ class SyntheticAnglesNodeTest(unittest.TestCase):
             self.kept.append(msg)
             self.arrived.notify_all()
 
+    def wait_for(self, count):
+        """Until so many pictures' bearings are there."""
+        with self.arrived:
+            self.assertTrue(self.arrived.wait_for(lambda: len(self.kept) >= count, PATIENCE_S), len(self.kept))
+
     def test_bearings_are_those_of_the_moment_of_exposure(self):
         start_s = 1000.0 + math.floor(rospy.get_time())
         self.landmarks.publish(Landmarks(Obj=[Landmark("Green_pink", 2.5, 0.0, 1.0), Landmark("Pink_blue", -2, 0, 1)]))
@@ -49,10 +55,9 @@ class SyntheticAnglesNodeTest(unittest.TestCase):
             message = Cortex(Obj=[fluffy, albatross])
             message.header.stamp = rospy.Time.from_sec(stamp_s)
             self.states.publish(message)
-            time.sleep(0.002)
-        with self.arrived:
-            self.assertTrue(self.arrived.wait_for(lambda: len(self.kept) >= 59, PATIENCE_S), len(self.kept))
-            messages = self.kept[5:59]
+            self.wait_for(0.005 * k * RATE_HZ - 5.0)  # so the node is never so far behind that a queue leaves one out
+        self.wait_for(59)
+        messages = self.kept[5:59]
         for message in messages:
             stamp_s = message.header.stamp.to_sec()
             risc1, risc2 = message.Obj
