@@ -66,7 +66,7 @@ def test_cortex_decoder_without_its_length_check_is_noticed(tmp_path):
     assert sound.count("if (size > left_) {") == 1
     source.write_text(sound.replace("if (size > left_) {", "if (false) {"), encoding="utf-8")
     done = fuzz_cortex_decoder(package, FEW, tmp_path / "build")
-    assert done.returncode != 0 and "ERROR: AddressSanitizer: heap-buffer-overflow" in done.stdout, done.stdout[-4000:]
+    assert done.returncode != 0 and "ERROR: AddressSanitizer: heap-" in done.stdout, done.stdout[-4000:]
 
 
 class NoticedError(AssertionError):
