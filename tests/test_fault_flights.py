@@ -77,6 +77,7 @@ def each_flown(folder, *faults):
         events = map(parse_fault, left[: len(found)])
         assert [(fault["name"], fault["args"]) for fault in found] == [(event.fault, event.args) for event in events]
         downs = [k for k, fault in enumerate(found, 1) if fault["outcome"] in ("landed", "breach")]
+        assert downs or len(found) == len(left), output
         outcomes += found[: min(downs, default=len(found))]
     return outcomes
 

@@ -4,6 +4,8 @@ Whole graph in real time, simulated: a fleet on its course, one event a second, 
 bag are compared with the virtual lab's truth of the same frame: a state is wrong when it is off by more than 30 mm, 5
 degrees of tilt or 10 degrees of yaw. What was false does harm where a state says `visible` and is wrong.
 
+Only states that were published count.
+
 - false: frames while a fault acts.  harmful: those of them with such a state of any vehicle.  after: frames from the
   end of an event to the next one with such a state.
 - settled: from the end of an event until all vehicles are visible and right.
@@ -87,7 +89,7 @@ def judge(stamps_s, visible, wrong, events):
         figures["harmful"] += int(harmful[false].sum())
         figures["after"] += int(harmful[after].sum())
         settled = after[well[after]]
-        figures["settled_ms"].append(1e3 * (stamps_s[settled[0]] - stamps_s[after[0]]) if settled.size else math.inf)
+        figures["settled_ms"].append(1e3 * (stamps_s[settled[0]] - ends_s) if settled.size else math.inf)
         if false.sum() >= LONG_FRAMES:
             unseen = np.flatnonzero(~visible[false].all(axis=1))
             figures["noticed_frames"].append(float(unseen[0]) if unseen.size else math.inf)

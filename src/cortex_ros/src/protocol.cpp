@@ -43,13 +43,17 @@ auto within(const char* place, std::size_t index, Part part) -> decltype(part())
   }
 }
 
-// The text, if it is UTF-8: other bytes would make a message that nothing in ROS can read.
-std::string utf8(std::string text, const char* what) {
+// The text with a question mark in place of each byte that is not UTF-8, which nothing that reads ROS
+// messages bears.
+template <typename Iterator>
+std::string utf8(Iterator at, Iterator end) {
   namespace utf = boost::locale::utf;
-  for (auto at = text.begin(); at != text.end();) {
-    if (!utf::is_valid_codepoint(utf::utf_traits<char>::decode(at, text.end()))) {
-      fail(what, " is not UTF-8");
-    }
+  std::string text;
+  while (at != end) {
+    Iterator next = at;
+    const bool valid = utf::is_valid_codepoint(utf::utf_traits<char>::decode(next, end));
+    valid ? text.append(at, next) : text.append(1, '?');
+    at = valid ? next : at + 1;
   }
   return text;
 }
@@ -108,7 +112,7 @@ class Reader {
       fail(what, " of ", length, " bytes is above the limit of ", limit);
     }
     const std::uint8_t* start = take(length + 1, what);
-    return utf8(std::string(reinterpret_cast<const char*>(start), length), what);
+    return utf8(start, start + length);
   }
 
   Bytes rest() {
@@ -127,7 +131,7 @@ Identity decode_identity(Reader& in) {
   const std::uint8_t* name = in.take(kProgramNameBytes, "program name");
   // A field without NUL is cut at its last byte, where the NUL should have been.
   const auto* end = std::find(name, name + kProgramNameBytes - 1, std::uint8_t{0});
-  identity.name = utf8(std::string(name, end), "program name");
+  identity.name = utf8(name, end);
   const std::uint8_t* version = in.take(identity.version.size(), "version");
   std::copy(version, version + identity.version.size(), identity.version.begin());
   return identity;

@@ -106,15 +106,17 @@ class ControllerNodeTest(unittest.TestCase):
         """(answers of the node that flies by /cortex_ekf, function that tells it a state of all)."""
         answers, states = [], rospy.Publisher("/cortex_ekf", Cortex, queue_size=100)
         subscriber = rospy.Subscriber("/ekf_controls", Controls, answers.append, queue_size=100)
-        wait_for(lambda: states.get_num_connections() and subscriber.get_num_connections(), "the node is there")
 
         def tell(**place_m):
             message = Cortex(Obj=[States(name=name, visible=True, z=1.0, **place_m) for name in NAMES])
             message.header.stamp = rospy.Time.now()
             states.publish(message)
 
-        yield answers, tell
-        subscriber.unregister()
+        try:
+            wait_for(lambda: states.get_num_connections() and subscriber.get_num_connections(), "the node is there")
+            yield answers, tell
+        finally:
+            subscriber.unregister()
 
     def test_answers_states_with_their_stamps(self):
         for topic in self.lab.received:

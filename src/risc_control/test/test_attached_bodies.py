@@ -1,7 +1,6 @@
 """What vehicles carry: a controller gets it in the rows of the vehicles, from /cortex_raw as well."""
 
 import io
-import time
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -117,13 +116,15 @@ def node(monkeypatch, seen):
     return controller_node.ControllerNode("looker", fleet_from_dict(CONTENT).vehicles)
 
 
-def test_the_node_shows_a_controller_what_motion_capture_sees_of_it(node, seen):
+def test_the_node_shows_a_controller_what_motion_capture_sees_of_it(node, seen, monkeypatch):
     import rospy
 
+    from risc_control.ros import controller_node
     from risc_msgs.msg import Cortex
     from risc_msgs.msg import States as Body
 
-    now_s = time.time()
+    now_s = 1000.0
+    monkeypatch.setattr(controller_node, "ros_time_s", lambda: now_s)
     for stamp_s, visible in ((now_s - 1.0, [False, False]), (now_s, [False, True])):
         message, wire = Cortex(Obj=[Body("ball", True, *range(12)), Body("T2", True, *[1.0] * 12)]), io.BytesIO()
         message.header.stamp = rospy.Time.from_sec(stamp_s)

@@ -213,7 +213,7 @@ def test_without_navdata_the_button_lands():
     orders = desk.press(TAKEOFF_LAND)
     assert (orders.takeoff, orders.land) == (False, True)
     assert "nothing was heard" in texts(orders)
-    assert len(orders.refusals) == 1 and "look at its Wi-Fi" in orders.refusals[0]
+    assert len(orders.refusals) == 1 and "Look at its Wi-Fi" in orders.refusals[0]
     assert "take-off refused: " + orders.refusals[0] in texts(orders)
     desk.run(0.1)
     assert desk.press(TAKEOFF_LAND).refusals == [], "it is heard now, and takes off"
@@ -229,7 +229,7 @@ def test_no_take_off_when_the_last_word_of_one_that_stands_is_old(looks, monkeyp
         monkeypatch.setattr(SafetyLadder, "navdata_is_fresh", lambda *_: True)
     orders = desk.press(TAKEOFF_LAND)
     assert (orders.takeoff, orders.land) == (not looks, looks)
-    assert ["look at its Wi-Fi" in text for text in orders.refusals] == [True] * looks
+    assert ["Look at its Wi-Fi" in text for text in orders.refusals] == [True] * looks
 
 
 def test_a_landing_of_one_that_is_silent_in_the_air_is_no_refusal():

@@ -31,6 +31,11 @@ LANDING = (  # (fault, types): vehicles that cannot go on, for so long that who 
     *[(fault, ("ardrone",)) for fault in ("garbage:20", "battery_failing:30", "host_restart:20")],
     *[(fault, ("iris",)) for fault in ("battery_low:8", "link_blackhole:20", "wrong_axes:20")],
 )
+SHORT = (  # the same, but over before they are down: the landing goes on
+    *[(fault, ("ardrone",)) for fault in ("flip:3", "freeze:3", "jump:1", "mocap_blackout:3", "occlusion:3")],
+    *[(fault, ("ardrone",)) for fault in ("link_blackhole:5", "nan_markers:3", "garbage:3", "host_restart:3")],
+    *[(fault, ("iris",)) for fault in ("link_blackhole:5", "wrong_axes:0.5")],
+)
 LAND_BY_THEMSELVES = {  # in which vehicles without a ladder land, and why
     "mocap_blackout:20",  # no frames, no commands: the AR.Drone's watchdog
     "host_restart:20",  # the same
@@ -82,6 +87,14 @@ def test_they_land_it(fault, types, ladder):
     lands = ladder or fault in LAND_BY_THEMSELVES
     assert (outcome.outcome, outcome.safe) == (("landed", True) if lands else ("breach", False))
     assert bool(result.breaches) is not lands and not result.contacts
+
+
+@pytest.mark.parametrize("fault, types", SHORT, ids=lambda value: value if isinstance(value, str) else value[0])
+def test_they_land_it_although_it_is_over_before_they_are_down(fault, types):
+    result = flown([fault + "@1"], types)
+    (outcome,) = result.faults
+    assert (outcome.outcome, outcome.safe) == ("landed", True)
+    assert not result.breaches and not result.contacts
 
 
 @pytest.mark.parametrize("ladder", [True, False])

@@ -17,7 +17,8 @@ come since the last state that was believed, or has come back near to where that
 elsewhere stays suspect until the vehicle must have landed (`separation_forget_s`); then it is believed, or nobody could
 ever fly the vehicle again.
 
-Times are stamps. A stamp that does not advance says nothing new; when their clock was set, all begin afresh.
+Times are stamps. A message whose stamp was overtaken says nothing. When the clock of the stamps was set, what was known
+before is taken to be as old as it is, so that a set clock hides nothing either.
 """
 
 import enum
@@ -26,7 +27,7 @@ import math
 import numpy as np
 
 from risc_control.vehicles import adapter_class, greatest_command
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock import AGREEING, ClockGuard, Step
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, wrap_one_angle
 from risc_lab.states import S
@@ -108,10 +109,14 @@ class Plausibility:
         self._on = limits.ladder
         self._rows = {}  # {names of a message: row of each}
         self._stamps = ClockGuard(math.inf)  # a node may hear nothing for long
+        self._heard_s = self._refused_s = -math.inf  # the newest stamp that was accepted, and that was not
         self._look(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros((0, len(S))), 0.0)  # loads what is compiled
 
     def look(self, names, visible, states, stamp_s):
-        """(n,) bool: who is seen, with a state that can be true. visible: (n,) bool.  states: (n, 12), columns `S`."""
+        """(n,) bool: who is seen, with a state that can be true; None: the message was overtaken, or its clock is new.
+
+        visible: (n,) bool.  states: (n, 12), columns `S`.
+        """
         if not self._on:
             return visible
         rows = self._rows.get(names)
@@ -120,10 +125,16 @@ class Plausibility:
                 self._rows.clear()
             rows = self._rows[names] = np.array([self._index.get(name, -1) for name in names], np.int64)
         step = self._stamps.look(stamp_s)
-        if step is Step.REFUSED:  # the same once more, or one that was overtaken
-            return visible & ((rows < 0) | (self._vehicles["doubt"][rows] == 0))
+        if step is Step.REFUSED:
+            self._refused_s = stamp_s
+            if stamp_s == self._heard_s:  # the same once more
+                return visible & ((rows < 0) | (self._vehicles["doubt"][rows] == 0))
+            return None
         if step is Step.NEW_CLOCK:
-            self._vehicles["good_s"], self._vehicles["doubt"] = -math.inf, 0
+            set_s = stamp_s - AGREEING * (stamp_s - self._refused_s) - self._heard_s
+            self._vehicles["good_s"] += set_s
+            self._vehicles["newest_s"] += set_s
+        self._heard_s = stamp_s
         return self._look(rows, visible, states, stamp_s)
 
     def _look(self, rows, visible, states, stamp_s):

@@ -497,7 +497,7 @@ class VehiclePilot:
         fresh = self.ladder.navdata_is_fresh(now_s)
         if self.flight_state != FlightState.LANDED or not fresh:
             if may_take_off and not fresh and not self.airborne:  # meant for a take-off, as far as can be known
-                text = "nothing is heard of the vehicle: switch it on, look at its %s and at its driver"
+                text = "nothing is heard of the vehicle, it is told to land: is it on? Look at its %s and its driver"
                 self._refuse([text % self._adapter.LINK], orders)
             self._order_landing(orders, now_s)
             unsure = "" if fresh else " (the vehicle is silent, so the button means land)"

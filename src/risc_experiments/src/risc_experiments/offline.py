@@ -229,6 +229,7 @@ class RunningFlight:
         params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **exact, **flight.node})
         self._separation = Separation(names, params, names, wider_m(fleet.vehicles))
         self._plausibility = Plausibility(dict(zip(names, vehicle_types)), params)
+        self._looks = [ALONE] * len(names), ()  # see `_look_around`
         rng = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,)))
         self._chains = []
         for i, (vehicle, start) in enumerate(zip(self._world.vehicles.values(), fleet.vehicles)):
@@ -318,7 +319,7 @@ class RunningFlight:
         return states
 
     def _bodies_for_controller(self):
-        """`controllers.Bundle.bodies`; None when nobody carries anything."""
+        """`controllers.Bundle.bodies`; None when no vehicle carries anything."""
         if not self._carriers:
             return None
         n = len(self._names)
@@ -348,6 +349,8 @@ class RunningFlight:
             return (), ()
         names, stamp_s, separation = self._estimate.names[: len(self._names)], self._stamp_s, self._separation
         believed, suspects = self._plausibility.look(names, states.visible, states.x, stamp_s), ()
+        if believed is None:  # nothing new: what they found last
+            return self._looks
         if False in believed.tolist():
             suspects = [self._plausibility.reason(name) for name in self._names]
         separation.see(names, believed, states.x, stamp_s)
@@ -355,7 +358,8 @@ class RunningFlight:
         separation.refer(names, course_m, self._time_s)
         separation.tell({name for name, chain in zip(self._names, self._chains) if chain.pilot.holds_alone})
         looks = separation.look(self._now_s)
-        return [looks.get(name, ALONE) for name in self._names], suspects
+        self._looks = [looks.get(name, ALONE) for name in self._names], suspects
+        return self._looks
 
     def _note(self, reference):
         """Begin what counts from the course on; keep what errors are made of."""

@@ -123,7 +123,7 @@ class _Mixed(Controller):
 
     def step(self, t, states, reference, params):
         commands = np.empty((len(Command._fields), len(self.delay_s)))
-        if states.bodies is not self._bodies:  # while nobody carries anything it is the same in every frame
+        if states.bodies is not self._bodies:  # while no vehicle carries anything it is the same in every frame
             self._bodies = states.bodies
             self._bodies_of = [_rows_of(states.bodies, rows) for rows, _, _ in self._parts]
         for (rows, _, part), (own, part.designed), bodies in zip(self._parts, self.designed, self._bodies_of):
@@ -216,9 +216,9 @@ class ControlLoop:
     def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous, bodies=None):
         """`Output` for the States at stamp_s, to be sent at now_s; level with hover thrust where nothing is known.
 
-        present, ahead, usable: see `Reference`.  autonomous, bodies: see `Bundle`; None: nobody carries anything, or
-        it is not seen.  Raises ValueError, and nothing counts as sent, when a number of a vehicle that is seen is not
-        finite.
+        present, ahead, usable: see `Reference`.  autonomous, bodies: see `Bundle`; None: no vehicle carries anything,
+        or it is not seen.  Raises ValueError, and nothing counts as sent, when a number of a vehicle that is seen is
+        not finite.
         """
         params, self.controller.designed = self._flown
         reference = Reference(present, ahead, usable)

@@ -20,7 +20,7 @@ class StatesReader:
     def __init__(self, names, carried=()):
         """carried: name of what each vehicle carries, None where that is nothing; () when nobody's is wanted."""
         self._names, self._carried = tuple(names), tuple(carried) if any(carried) else ()
-        self.bodies = None  # `controllers.Bundle.bodies` of the newest message; None when nobody carries anything
+        self.bodies = None  # `controllers.Bundle.bodies` of the newest message; None when no vehicle carries anything
         self._message = CortexArrays(())
         self._adopt()
         self._states()

@@ -186,6 +186,8 @@ class VehicleNode:
             age_s, now_s = ros_time_s() - stamp_s, time.monotonic()
             in_radians = states.states * _TO_RADIANS
             believed = self._plausibility.look(states.names, states.visible, in_radians, stamp_s)
+            if believed is None:
+                return
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
             self._separation.tell(own | {name for name, s in self._held_until_s.items() if now_s < s})

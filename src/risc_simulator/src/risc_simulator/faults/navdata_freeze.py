@@ -1,11 +1,25 @@
 """A vehicle repeats what it said of itself last, with fresh sequence numbers and check sums."""
 
+import contextlib
+
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.vehicles import REGISTRY, virtual_type
 
 
+def _repeats():
+    """`repeated` of all types that have it and can be loaded."""
+    found = []
+    for name in REGISTRY.names():
+        with contextlib.suppress(ValueError):
+            found.append(virtual_type(name).repeated)
+    return [repeated for repeated in found if repeated]
+
+
+_repeats()  # loads their modules here, not while a lab runs
+
+
 def make(severity, rng):
-    repeats = [repeat for name in REGISTRY.names() if (repeat := virtual_type(name).repeated)]
+    repeats = _repeats()
     told = {}  # what was said last, by kind of report
 
     def act(data, now_s):

@@ -97,7 +97,10 @@ def _make_keeper(drivers):
     try:
         return Keeper([driver.address for driver in drivers])
     except OSError as error:
-        rospy.logerr("the keeper did not start, so no vehicle is landed if this driver dies or hangs: %s", error)
+        text = (
+            "the keeper did not start: if this driver dies or hangs, vehicles go on with their last tilt for a second"
+        )
+        rospy.logerr("%s (%s)", text, error)
         return None
 
 
