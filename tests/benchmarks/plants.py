@@ -12,7 +12,7 @@ import json
 import sys
 from dataclasses import replace
 
-from tracking import COURSES, errors_of
+from tracking import COURSES, accuracy_of
 
 from data_extraction.progress import Progress, bar
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, fly_all
@@ -58,7 +58,7 @@ def scaled(loop, name, scale):
 
 def row_of(name, limit_mm, results):
     """Figures of a change. results: {course: of its flights}."""
-    row = {"plant": name, "limit_mm": limit_mm, **{course: errors_of(flown) for course, flown in results.items()}}
+    row = {"plant": name, "limit_mm": limit_mm, **{course: accuracy_of(flown) for course, flown in results.items()}}
     worst_m = [row[course]["rmse_worst_m"] for course in results]
     return {**row, "ok": all(error_m is not None and 1e3 * error_m <= limit_mm for error_m in worst_m)}
 

@@ -76,7 +76,7 @@ def pose_covariance(template):
     return fit.poses.covariances()[0]
 
 
-def errors_of(results):
+def accuracy_of(results):
     """Figures of flights; without numbers for the worst when one of them did not come to its end."""
     flown = [result for result in results if not isinstance(result, RuntimeError) and not any(result.landed)]
     errors_m, failed = [error_m for result in flown for error_m in result.rmse_m.tolist()], len(results) - len(flown)
@@ -118,8 +118,8 @@ def main(arguments=None):
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         print("%-9s %9s %9s %9s %12s" % ("course", "median", "worst", "limit", "in scale"))
         for course in COURSES:
-            errors = errors_of([next(outcomes) for _ in seeds])
-            rows.append({"course": course, **errors, **{key: limits[key] for key in ("limit_m", "limit_in_scale_m")}})
+            accuracy = accuracy_of([next(outcomes) for _ in seeds])
+            rows.append({"course": course, **accuracy, **{key: limits[key] for key in ("limit_m", "limit_in_scale_m")}})
             progress.clear()
             show(rows[-1])
         for point in limits["trade"]:
