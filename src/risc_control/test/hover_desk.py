@@ -128,8 +128,8 @@ class Desk(JoystickDesk):
     """A pilot with its vehicle: ticks at 66 Hz, states and controls at 200 Hz, telemetry at 4 Hz, the board at 10 Hz,
     and the joystick at 20 Hz from its first message on.
 
-    alive: what works; without "radio" nothing that is sent arrives.  fly: function of the desk that gives the
-    controller's `Command`.
+    alive: what works; without "radio" nothing that is sent arrives, without "state" motion capture looks and does not
+    see it, without "frames" it says nothing.  fly: function of the desk that gives the controller's `Command`.
     """
 
     def __init__(self, iris=None, fly=None, **params):
@@ -137,7 +137,7 @@ class Desk(JoystickDesk):
         self.pilot = VehiclePilot(
             VehicleNodeParams(**{"joystick_timeout": 0.0, "preflight": False, **params}), IRIS, self.now_s
         )
-        self.alive = {"state", "telemetry", "board", "radio", "node"}
+        self.alive = {"state", "frames", "telemetry", "board", "radio", "node"}
         self.look, self.fly, self.sensors, self.seen = ALONE, fly, None, lambda own: own
         self.sent, self.said, self.states = [], [], []  # (time, Sticks); (time, level, text); FlightStates, in turn
         self.counts = dict.fromkeys(("takeoff", "land", "reset", "disarm"), 0)
@@ -177,8 +177,10 @@ class Desk(JoystickDesk):
 
     def _hear(self):
         pilot, now_s, own = self.pilot, self.now_s, self.iris.own()
-        if self._step % 3 == 0 and "state" in self.alive:
+        if self._step % 3 == 0 and {"state", "frames"} <= self.alive:
             pilot.on_state(self.seen(own), LATENCY_S, now_s, self.look)
+        elif self._step % 3 == 0 and "frames" in self.alive:
+            pilot.on_unseen()
         if self.fly is not None and (command := self.fly(self)) is not None:
             controls, _ = self._converter(
                 Command(*(np.array([part]) for part in command)), np.array([True]), np.array([False])

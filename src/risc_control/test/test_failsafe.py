@@ -310,6 +310,7 @@ def test_one_false_position_is_no_escape():
 
 
 NEAR = Look(holds=True, reason="0.55 m from Raven")
+JOINS = Look(holds=True, reason="0.90 m from Raven, which holds", joins=True)
 
 
 def test_one_that_is_too_near_to_others_holds_then_lands():
@@ -331,14 +332,32 @@ def test_those_that_hold_because_of_the_same_loss_go_on_together(what):
     flight, limits = Flight(), SafetyLimits()
     flight.alive.remove(what)
     assert flight.run(0.11).level == FailsafeLevel.HOLD
-    flight.look = NEAR
+    flight.look = JOINS
     assert flight.run(0.1).rule in (Rule.STATE, Rule.CONTROLS)
     flight.alive.add(what)
     assert flight.run(limits.separation_delay_s - 0.01).level == FailsafeLevel.OK
     flight.look = ALONE
     assert flight.run(2.0).level == FailsafeLevel.OK
-    flight.look = NEAR  # the control arm: the others do not go on
+    flight.look = JOINS  # the control arm: the others do not go on
     assert flight.run(limits.separation_delay_s + 0.01).rule == Rule.SEPARATION
+
+
+def test_two_that_are_near_each_other_do_not_go_on_after_a_loss():
+    """What was seen of it before, or during the loss, counts: each short loss would give them a moment more."""
+    flight = Flight()
+    flight.alive.remove("controls")
+    assert flight.run(0.11).level == FailsafeLevel.HOLD
+    flight.look = NEAR
+    assert flight.run(0.1).rule == Rule.CONTROLS
+    flight.alive.add("controls")
+    assert flight.run(0.005).rule == Rule.SEPARATION
+    flight = Flight()
+    flight.look = NEAR
+    assert flight.run(0.03).level == FailsafeLevel.OK
+    flight.alive.remove("state")
+    assert flight.run(0.12).rule == Rule.STATE
+    flight.alive.add("state")
+    assert flight.run(0.005).rule == Rule.SEPARATION
 
 
 def test_one_that_has_held_does_not_follow_its_reference():

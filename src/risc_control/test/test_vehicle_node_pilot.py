@@ -899,12 +899,9 @@ def test_one_that_is_too_near_holds_brakes_and_moves_apart(psi_deg, climb):
     desk.run(0.2)
     commands = [sticks for _, sticks, _ in desk.run(0.3)]
     assert len(commands) > 5
-    for sticks in commands:
-        if climb == 0:
-            assert sticks == Sticks(0.0, 0.0, 0.0, 0.0), "its own hover"
-        else:
-            assert sticks.forward < -0.1 and sticks.left == pytest.approx(0.5 * sticks.forward)
-            assert (sticks.up, sticks.turn_left) == (0.3 * climb, 0.0)
+    # it is braked by its model: each command reckons with those that are under way
+    forward, left = np.mean([sticks[:2] for sticks in commands], axis=0)
+    assert forward < left < -0.1 and {sticks[2:] for sticks in commands} == {(0.3 * climb, 0.0)}
     desk.run(0.6)
     assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND and not desk.count("land"), "it still moves"
     desk.state = LEVEL._replace(psi_rad=psi_rad)

@@ -180,9 +180,9 @@ def test_a_dead_link_ends_inside_the_net_although_it_dies_while_the_vehicle_brak
 @pytest.mark.parametrize("lands", [True, False])
 def test_states_that_are_always_a_little_too_late_end_a_flight(lands):
     """Held for as long as it lasts, three vehicles would go back to their places on the circle at once: through its
-    middle, where they meet.
+    middle, where they meet, if distances did not hold them as well.
     """
-    node = {} if lands else {"state_land_s": 60.0}
+    node = {"separation_m": 0.0, **({} if lands else {"state_land_s": 60.0})}
     result = fly(Flight(vehicles=3, duration_s=6.0, faults=(parse_fault("delay:0.0941,duration_s=2.2@2"),), node=node))
     assert [outcome.outcome for outcome in result.faults] == ["landed" if lands else "breach"]
     assert bool(result.contacts) is not lands

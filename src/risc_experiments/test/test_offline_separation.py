@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control import vehicle_pilot
+from risc_control import hover, vehicle_pilot
+from risc_control.hover import Hover
 from risc_control.safety import SafetyLimits
 from risc_control.separation import Separation
 from risc_control.trajectories import COURSES, make_course, minimum_separation
@@ -63,6 +64,20 @@ def test_states_that_are_only_late_land_nobody(monkeypatch):
     assert any(" m from " in text for _, _, text in fly(late).safety)
 
 
+@pytest.mark.parametrize("seed", [28, *(more(seed) for seed in (5, 20, 106, 182, 183, 210, 268, 307, 370, 395))])
+def test_short_losses_one_after_another_bring_nobody_together(seed, monkeypatch):
+    """Two AR.Drones and an IRIS+: after each loss of 0.1 s or more the one behind catches up with its reference."""
+    fault = parse_fault("burst:0.1,duration_s=2@2")
+    mixed = Flight("circles3", fleet="launch/fleets/mixed3.yaml", seed=seed, psi_deg=70.0 * seed, faults=(fault,))
+    result = fly(mixed)
+    assert result.contacts == () and result.breaches == ()
+    if seed == 28:  # the control arm: an IRIS+ is braked at once, and then by what is seen alone
+        hold = Hover.command
+        monkeypatch.setattr(Hover, "command", lambda self, *told, waits=False: hold(self, *told))
+        monkeypatch.setattr(hover, "_STOPS_S", 0.0)
+        assert fly(mixed).contacts
+
+
 IRIS_M = load_vehicle_type("iris").wider_m
 
 
@@ -97,7 +112,7 @@ def test_wide_vehicles_stop_as_soon_as_one_of_them_does(seed, monkeypatch):
             fly(stops)
 
 
-FIVE = ("controls", 1), ("state", 5)  # collide when nodes say nothing
+FIVE = ("controls", 5), ("controls", 10)  # collide when nodes say nothing
 MORE = [(what, seed) for what in ("controls", "state") for seed in range(1, 16) if (what, seed) not in FIVE]
 
 

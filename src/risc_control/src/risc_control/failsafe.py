@@ -173,7 +173,7 @@ class SafetyLadder:
         self._look = look
         # Those that hold because of the same loss go on together: that the others still hold counts from then on.
         is_lost = self.verdict.level == _HOLD and self.verdict.rule in LOSSES
-        self._near.note(look.holds and not is_lost, now_s)
+        self._near.note(look.holds and not (is_lost and look.joins), now_s)
 
     def apart(self, now_s):
         """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before

@@ -91,6 +91,7 @@ class Look(NamedTuple):
     climb: int = 0  # holding is not enough: +1 climb, -1 sink
     above: bool = False  # another one is straight below: it must not land now,
     aside: tuple = (0.0, 0.0)  # but go there first: unit vector (x, y); 0 where others or the net are in the way
+    joins: bool = False  # it holds only because others do
 
 
 ALONE = Look()
@@ -156,7 +157,9 @@ class Separation:
             climb, above, aside = _avoid(self._vehicles, i, now_s, self._limits)
             holds = bool(self._vehicles["holds"][i])
             if holds or above:
-                looks[name] = Look(holds, self._reason(self._vehicles[i], now_s) if holds else "", climb, above, aside)
+                reason = self._reason(self._vehicles[i], now_s) if holds else ""
+                joins = holds and self._vehicles["cause"][i] == Cause.HOLDS
+                looks[name] = Look(holds, reason, climb, above, aside, joins)
         return looks
 
     def nearest(self, name, now_s):

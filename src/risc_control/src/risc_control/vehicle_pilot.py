@@ -673,11 +673,9 @@ class VehiclePilot:
         itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover and not waits
         orders.level_only = holds and not itself
         if look is not None and (look.climb or any(look.aside) or orders.level_only):
-            sticks = self._avoid(look)
+            sticks = self._avoid(look, now_s)
         elif not holds:
             sticks = self._adapter.by_hand(self._sticks(), self._state)
-        elif look is not None:
-            sticks = CENTRED
         else:
             sticks = self._stop(now_s, itself, waits)
         self._send(sticks, None, orders, now_s)
@@ -719,12 +717,15 @@ class VehiclePilot:
             forward, left, cosine, sine = sticks.forward, sticks.left, math.cos(psi_rad), math.sin(psi_rad)
             x, y = HAND_M_S * (forward * cosine + left * sine), HAND_M_S * (left * cosine - forward * sine)
             z, turn_rad_s = kind.climb_max_m_s * sticks.up, -kind.yaw_rate_max_rad_s * sticks.turn_left
-        command = self._hover.command(now_s, (x, y, z), turn_rad_s)
+        command = self._hover.command(now_s, (x, y, z), turn_rad_s, waits=self._waits(now_s))
         self._send(self._adapter.fly(command), None, orders, now_s, self._hover.own)
 
-    def _avoid(self, look):
+    def _avoid(self, look, now_s):
         """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""
         speed_m_s, psi_rad = self.ladder.limits.separation_speed_m_s, self._state.psi_rad
+        brake = None if any(look.aside) else self._braking.command(now_s)
+        if brake is not None:
+            return self._adapter.move(-brake.pitch_rad, -brake.roll_rad, look.climb * speed_m_s, self._state)
         x, y = (speed_m_s * part - velocity for part, velocity in zip(look.aside, self._state.velocity_m_s))
         forward_m_s = x * math.cos(psi_rad) - y * math.sin(psi_rad)
         left_m_s = x * math.sin(psi_rad) + y * math.cos(psi_rad)
