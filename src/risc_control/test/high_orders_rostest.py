@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""A controller of order 6 in the graph: it asks, the trajectory node tells, and what it gets is exact."""
+"""A controller of order 6 in the graph: it asks, the trajectory node tells, and what it gets is exact; so are the
+covariances of the states, as long as there are fresh ones.
+"""
 
 import math
 import threading
@@ -13,11 +15,14 @@ from rospy.numpy_msg import numpy_msg
 from risc_control.delay_prediction import effective_delay_s
 from risc_control.vehicles import Command, ControlsConverter
 from risc_lab.lab import load_vehicle_type
-from risc_maap_msgs.msg import TrajectoryDerivatives
+from risc_lab.states import S
+from risc_maap_msgs.msg import StateCovariance, StateCovariances, TrajectoryDerivatives
 from risc_msgs.msg import Controls, Cortex, States
 
 RADIUS_M, FREQUENCY_RAD_S = 0.7, 2.0 * math.pi / 5.0  # of circle_traj.py
 STATES, STATES_HZ = 300, 100.0
+VARIANCE_M2, COVARIANCES = 0.25, 150  # of the states, the first ones
+OLD_S = 0.2  # ~state_timeout
 TOLD = 0.1  # see members/controllers/sixth.py
 TIMEOUT_S = 60.0
 
@@ -27,6 +32,11 @@ class HighOrdersTest(unittest.TestCase):
         told, commands, over = [], {}, threading.Event()
         rospy.Subscriber("/trajectory_derivatives", numpy_msg(TrajectoryDerivatives), told.append, queue_size=1000)
         states = rospy.Publisher("/cortex_raw", Cortex, queue_size=100)
+        covariances = rospy.Publisher("/state_covariances", StateCovariances, queue_size=100)
+        variances = np.zeros((len(S), len(S)))
+        variances[S.X, S.X] = VARIANCE_M2
+        others = StateCovariance("Raven", [1.0] * len(S) ** 2), StateCovariance("fluffy_II", variances.ravel().tolist())
+        known_s = []  # stamps
 
         def on_controls(message):
             if message.Obj:
@@ -42,6 +52,9 @@ class HighOrdersTest(unittest.TestCase):
                 message = Cortex(Obj=[States(name="fluffy_II", visible=True, z=1.0)])
                 message.header.stamp = rospy.Time.now()
                 states.publish(message)
+                if commands and len(known_s) < COVARIANCES:
+                    covariances.publish(StateCovariances(message.header, others))
+                    known_s.append(message.header.stamp.to_sec())
                 rate.sleep()
 
         threading.Thread(target=fly, daemon=True).start()
@@ -65,6 +78,15 @@ class HighOrdersTest(unittest.TestCase):
         kind = load_vehicle_type("ardrone")
         tenth, nobody = np.array([0.1]), np.zeros(1, dtype=bool)
         units, _ = ControlsConverter([kind])(Command(tenth, tenth, tenth, 5.0 + tenth), ~nobody, nobody)
+        variances_m2 = {
+            stamp.to_sec() - known_s[0]: 0.1 * command.psi / units.psi[0] for stamp, command in commands.items()
+        }
+        last_s = known_s[-1] - known_s[0]
+        while_m2 = [variance for age_s, variance in variances_m2.items() if 0.1 < age_s < last_s]
+        after_m2 = [variance for age_s, variance in variances_m2.items() if age_s > last_s + OLD_S + 0.02]
+        self.assertGreater(min(len(while_m2), len(after_m2)), 50)
+        np.testing.assert_allclose(while_m2, VARIANCE_M2, rtol=1e-6)
+        np.testing.assert_array_equal(after_m2, 0.0)
         errors = []
         for stamp, command in commands.items():
             found = np.array([command.phi / units.phi[0], command.theta / units.theta[0]]) * 0.1 / TOLD

@@ -15,6 +15,8 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import FRAME_S, Flight, fly
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import load_vehicle_type
+from risc_lab.states import S
+from risc_simulator.faults import parse_fault
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
 SPRING = MEMBERS.parents[2] / "risc_simulator" / "test" / "members"
@@ -40,7 +42,7 @@ def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
     assert result.rmse_m[0] < 0.02
     seen = REGISTRY.module("sixth").SEEN[1:]  # the first loads what is compiled
     w = 2.0 * math.pi / 8.0
-    for times, reference in seen[-int(4.0 / FRAME_S) :]:
+    for times, reference, _ in seen[-int(4.0 / FRAME_S) :]:
         present, ahead = reference.present[:, 0], reference.ahead[:, 0]
         for found in (present, ahead):
             assert len(found) == 7
@@ -49,8 +51,27 @@ def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
         turned = w * (times.now_s - times.stamp_s + 0.1 + 1.0 / 30.0)
         turn = np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
         assert ahead[:, :2] == pytest.approx(present[:, :2] @ turn, abs=1e-6)
-    jumps = np.abs(np.diff([reference.present[:, 0, :3] for _, reference in seen], axis=0)).max(axis=(0, 2))
+    jumps = np.abs(np.diff([reference.present[:, 0, :3] for _, reference, _ in seen], axis=0)).max(axis=(0, 2))
     assert (jumps < 0.2).all(), "continuous to the sixth, on the way as well"
+
+
+def test_a_controller_sees_how_far_the_states_can_be_wrong(monkeypatch):
+    """Of a filter that knows; and it knows less of a vehicle that was not seen for a moment."""
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(MEMBERS.parents[2] / "risc_control" / "test" / "members"))
+    seen = REGISTRY.module("sixth").SEEN
+    flight = Flight("circle", vehicles=2, seed=1, duration_s=1.0, controller="sixth")
+    seen.clear()
+    result = fly(replace(flight, estimator="ekf", faults=(parse_fault("occlusion:0.2,risc2@1"),)))
+    covariances = np.array([covariances for _, _, covariances in seen[1:]])  # the first loads what is compiled
+    times_s = np.array([times.stamp_s for times, *_ in seen[1:]]) - result.reached_s
+    deviations_m = np.sqrt(covariances[:, :, S.X, S.X])
+    assert deviations_m.shape == (len(times_s), 2)
+    before, lost = (times_s > 0.5) & (times_s < 1.0), (times_s > 1.15) & (times_s < 1.2)
+    assert np.median(deviations_m[lost, 1]) > 3.0 * np.median(deviations_m[before, 1])
+    assert np.median(deviations_m[lost, 0]) < 1.2 * np.median(deviations_m[before, 0])
+    seen.clear()
+    fly(replace(flight, estimator="least_squares"))
+    assert len(seen) > 100 and all(covariances is None for _, _, covariances in seen)
 
 
 def test_a_controller_reacts_to_what_a_vehicle_carries(monkeypatch, tmp_path):

@@ -340,7 +340,10 @@ class RunningFlight:
         times_s = self._loop.times_s(self._stamp_s, self._now_s)
         present, ahead = self._loop.pick(self._buffer.at(times_s))
         autonomous = self._everyone if flying else self._nobody
-        told = states, present, ahead, self._everyone, autonomous, self._bodies_for_controller()
+        covariances = self._estimator.covariances() if self._loop.controller.COVARIANCES else None
+        if covariances is not None:
+            covariances = covariances[: len(self._names)]  # attached bodies come after
+        told = states, present, ahead, self._everyone, autonomous, self._bodies_for_controller(), covariances
         return self._loop.update(self._stamp_s, self._now_s, *told)
 
     def _look_around(self, states, reference):

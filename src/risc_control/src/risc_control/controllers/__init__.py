@@ -17,8 +17,9 @@ elsewhere, e.g. a student's: controllers/NAME.py and controllers/NAME.yaml in a 
             return Command(roll_rad, pitch_rad, yaw_rate_rad_s, self.mass_kg * (GRAVITY_M_S2 + up))
 
 It flies all vehicles of a fleet at once, of whatever types. `states.bodies` is what they carry (`attached` in the fleet
-file), such as the tip of a pendulum. Who cannot be flown (not seen, no reference), limits and the units of /controls
-are not its business: `ControlLoop` sees to them, and it is what nodes and offline flights run.
+file), such as the tip of a pendulum; `states.covariances` are those of a filter that knows them. Who cannot be flown
+(not seen, no reference), limits and the units of /controls are not its business: `ControlLoop` sees to them, and it is
+what nodes and offline flights run.
 """
 
 from dataclasses import dataclass, replace
@@ -47,12 +48,15 @@ class Times(NamedTuple):
 
 
 class Bundle(NamedTuple):
-    """What is known of the world. What only some have (covariances, disturbances) goes here, too."""
+    """What is known of the world. What only some have goes here, too."""
 
     vehicles: States
     autonomous: np.ndarray  # (n,) bool, False where somebody else flies the vehicle: our commands are not sent
     sent: CommandHistory  # what the vehicles were really sent, as far as that is known; its times are those of `Times`
     bodies: States  # row i: what vehicle i carries; not visible where that is nothing. Its angles mean nothing
+    # (n, 12, 12) of `vehicles`, rows and columns `S`, NaN where unknown; the newest that were estimated: nodes get them
+    # a frame later. None: the filter knows none, or the controller does not read them
+    covariances: np.ndarray | None = None
 
 
 class Reference(NamedTuple):
@@ -73,6 +77,7 @@ class Controller:
 
     PARAMS = NoParams  # dataclass of numbers: the keys of its YAML file; dynamic_reconfigure changes them in flight
     ORDER = Order.ACCELERATION  # highest derivative of the reference that it reads, at most MOST_ORDER
+    COVARIANCES = False  # whether it reads `Bundle.covariances`
 
     def __init__(self, vehicle_types, params):
         """vehicle_types: VehicleType of each vehicle, in the order of all arrays."""
@@ -107,7 +112,7 @@ class _Mixed(Controller):
 
     def __init__(self, kind, vehicle_types, params, own):
         super().__init__(vehicle_types, params)
-        self.ORDER = kind.ORDER
+        self.ORDER, self.COVARIANCES = kind.ORDER, kind.COVARIANCES
         self._parts, begin = [], 0  # (rows, what they have otherwise, Controller)
         self._bodies, self._bodies_of = None, ()  # States of all, and those of each part
         for numbers, equals in groupby(own):
@@ -128,7 +133,8 @@ class _Mixed(Controller):
             self._bodies_of = [_rows_of(states.bodies, rows) for rows, _, _ in self._parts]
         for (rows, _, part), (own, part.designed), bodies in zip(self._parts, self.designed, self._bodies_of):
             vehicles = _rows_of(states.vehicles, rows)
-            bundle = Bundle(vehicles, states.autonomous[rows], states.sent.of(rows), bodies)
+            covariances = None if states.covariances is None else states.covariances[rows]
+            bundle = Bundle(vehicles, states.autonomous[rows], states.sent.of(rows), bodies, covariances)
             wanted = Reference(reference.present[:, rows], reference.ahead[:, rows], reference.usable[rows])
             commands[:, rows] = part.step(t, bundle, wanted, own)
             self.saturated[rows] = part.saturated
@@ -213,16 +219,17 @@ class ControlLoop:
             return values[0], values[1]
         return values[0], np.ascontiguousarray(values[1 + self._which, :, self._everyone].transpose(1, 0, 2))
 
-    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous, bodies=None):
+    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous, bodies=None, covariances=None):
         """`Output` for the States at stamp_s, to be sent at now_s; level with hover thrust where nothing is known.
 
-        present, ahead, usable: see `Reference`.  autonomous, bodies: see `Bundle`; None: no vehicle carries anything,
-        or it is not seen.  Raises ValueError, and nothing counts as sent, when a number of a vehicle that is seen is
-        not finite.
+        present, ahead, usable: see `Reference`.  autonomous, bodies, covariances: see `Bundle`; bodies None: no vehicle
+        carries anything, or it is not seen.  Raises ValueError, and nothing counts as sent, when a number of a vehicle
+        that is seen is not finite.
         """
         params, self.controller.designed = self._flown
         reference = Reference(present, ahead, usable)
-        bundle = Bundle(states, autonomous, self.sent, self._no_bodies if bodies is None else bodies)
+        bodies = self._no_bodies if bodies is None else bodies
+        bundle = Bundle(states, autonomous, self.sent, bodies, covariances)
         command = self.controller.step(Times(stamp_s, now_s), bundle, reference, params)
         return Output(*self._to_controls(command, states.visible & usable, self.controller.saturated))
 

@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, UInt8
 
 from risc_control.controllers import ControlLoop, default_params, descriptions, own_params
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
-from risc_control.ros.conversions import ControlsMessage, StatesReader, note_commands
+from risc_control.ros.conversions import ControlsMessage, StatesReader, covariances_of, note_commands
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
@@ -27,9 +27,17 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.settings import Name, Positive, Settings, limits_of, settings_from
-from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives, VehicleStatus
+from risc_maap_msgs.msg import (
+    CommandsSent,
+    ControllerReport,
+    StateCovariances,
+    TrackingError,
+    TrajectoryDerivatives,
+    VehicleStatus,
+)
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
+_RAW = "/cortex_raw"
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class ControllerParams(Settings):
     controller: str  # name of one, see `controllers`
     vehicle_type: str = ""  # of all vehicles; "": what the fleet says
     # of the states: /cortex_ekf are those of quad_EKF.py. What is safe the vehicle nodes judge by /cortex_raw
-    states_topic: Name = "/cortex_raw"
+    states_topic: Name = _RAW
     state_timeout: Positive = 0.2  # [s] an older state is not answered
     reference_timeout: Positive = 0.2  # [s] nor a vehicle whose newest reference is older
 
@@ -77,6 +85,7 @@ class ControllerNode:
         self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
+        self._covariances, self._covariances_s = None, -np.inf  # `Bundle.covariances`, and the stamp of their frame
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
         self._everyone = list(range(len(self.names)))
         self._all = np.ones(len(self.names), dtype=bool)
@@ -116,17 +125,12 @@ class ControllerNode:
         else:
             topic, kind, callback = "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory
         self._references_in = PacedSubscriber(topic, kind, callback, _REFERENCES_HZ)
+        if self._loop.controller.COVARIANCES and self._states_topic == _RAW:  # those of /cortex_ekf nobody tells
+            _hear_newest("/state_covariances", StateCovariances, self._on_covariances)
         self._subscribe_to_states()
 
     def _subscribe_to_states(self):
-        rospy.Subscriber(  # of what has come meanwhile the newest is answered
-            self._states_topic,
-            CortexArrays.Raw,
-            self._on_states,
-            queue_size=1,
-            buff_size=BUFFER_BYTES,
-            tcp_nodelay=True,
-        )
+        _hear_newest(self._states_topic, CortexArrays.Raw, self._on_states)
 
     def _on_reconfigure(self, config, _level):
         """New numbers in flight; impossible ones change nothing."""
@@ -142,6 +146,11 @@ class ControllerNode:
     def _on_commands_sent(self, message):
         with self._lock:
             note_commands(message, self._index, self._loop.sent, self._state_timeout_s)
+
+    def _on_covariances(self, message):
+        found, stamp_s = covariances_of(message, self._index), message.header.stamp.to_sec()
+        with self._lock:
+            self._covariances, self._covariances_s = found, stamp_s
 
     def _on_status(self, message, i):
         self._autonomous[i] = message.data
@@ -204,7 +213,9 @@ class ControllerNode:
             sent_s = min(now_s, stamp_s + self._state_timeout_s)
             values, usable = self._references(self._loop.times_s(stamp_s, sent_s), now_s)
             present, ahead = self._loop.pick(values)
-            output = self._loop.update(stamp_s, sent_s, states, present, ahead, usable, self._autonomous, bodies)
+            fresh = abs(stamp_s - self._covariances_s) <= self._state_timeout_s
+            told = states, present, ahead, usable, self._autonomous, bodies, self._covariances if fresh else None
+            output = self._loop.update(stamp_s, sent_s, *told)
             # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
             # a state or a reference behind it would look alive.
             known = usable & states.visible
@@ -292,6 +303,11 @@ def reconfigurable(params, texts):
         min={name: limits[name][0] for name in numbers},
         max={name: limits[name][1] for name in numbers},
     )
+
+
+def _hear_newest(topic, kind, callback):
+    """Of what has come meanwhile the newest is answered."""
+    rospy.Subscriber(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True)
 
 
 def _errors_m(reference, states, known):

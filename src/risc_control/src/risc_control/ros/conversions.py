@@ -54,6 +54,15 @@ class StatesReader:
         return States(visible[:n], x[:n])
 
 
+def covariances_of(message, index):
+    """(n, 12, 12) as `controllers.Bundle.covariances` of a StateCovariances.  index: {name: row}."""
+    found = np.full((len(index), len(S), len(S)), np.nan)
+    for body in message.bodies:
+        if body.name in index:
+            found[index[body.name]] = np.reshape(body.covariance, (len(S), len(S)))
+    return found
+
+
 @compiled
 def _pick_states(degrees, seen, rows, visible, x):
     """Fill visible (n,) and x (n, 12) from the rows of a message; row -1: not there."""
