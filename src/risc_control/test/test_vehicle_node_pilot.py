@@ -827,6 +827,15 @@ def test_full_tilt_for_long_holds_and_lands(phi, levels):
     assert desk.pilot.ladder.verdict.rule == (Rule.CONTROLS if levels[2] else Rule.NONE)
 
 
+def test_full_tilt_says_nothing_of_a_controller_that_is_not_obeyed():
+    """One that holds because of others is far from where its controller wants it."""
+    desk = Desk().fly(autonomous=True)
+    desk.control = Controls(1.0, 0.0, 0.0, HOVER_N)
+    desk.look = Look(holds=True, reason="near", above=True)
+    desk.run(4.0)
+    assert desk.pilot.ladder.verdict.text == "hold: near"
+
+
 def test_hold_ends_on_the_first_fresh_controls():
     desk = Desk().fly(autonomous=True)
     desk.control = Controls(0.1, 0.0, 0.0, HOVER_N)

@@ -166,7 +166,9 @@ class SafetyLadder:
         """The controller has sent a command. finite: of numbers.  saturated: to tilt by full scale."""
         if not finite:
             self._not_finite_s = now_s
-        self._saturated.note(finite and saturated, now_s)
+        # while another rule holds the vehicle its reference goes on, and full tilt is no wonder
+        counts = self.verdict.level == _OK or self.verdict.rule == Rule.CONTROLS
+        self._saturated.note(finite and saturated and counts, now_s)
 
     def note_look(self, look, now_s):
         """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
