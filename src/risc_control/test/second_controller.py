@@ -28,7 +28,7 @@ def main():
     template, hover_n = rospy.get_param("~template"), rospy.get_param("~hover_n")
     rate = rospy.Rate(RATE_HZ)
     while not rospy.is_shutdown():
-        for kind in (Torn, Controls) if rospy.get_param("~torn", False) else (Controls,):
+        for kind in (Torn, Controls) if rospy.get_param_cached("~torn", False) else (Controls,):
             message = kind()
             message.header.stamp = rospy.Time.now()
             message.Obj.append(Control(template, 0.2, 0.2, 0.2, hover_n))

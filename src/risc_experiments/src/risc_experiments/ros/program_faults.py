@@ -101,12 +101,13 @@ class ProgramFaults:
                     self._changed.wait(wait_s)
 
     def _begin(self, act):
-        event, now_s = act.event, time.monotonic()
+        event = act.event
         try:
             act.program = find(self._identity, event.program, event.vehicle)
         except LookupError:  # it has just died of another fault, and may come back
-            self._plan(now_s + _AGAIN_S, self._begin, act)
+            self._plan(time.monotonic() + _AGAIN_S, self._begin, act)
             return
+        now_s = time.monotonic()  # after the search, which may take long: a hang lasts for as long as it was asked for
         of_one = event.vehicle and act.program.node.startswith("/%s/" % event.vehicle)
         act.record.vehicle = event.vehicle if of_one else ""
         act.record.begins, act.record.active = rospy.Time.now(), True
