@@ -156,7 +156,6 @@ class ScriptedVideo:
             self._serve(max(0.0, next_s - time.monotonic()))
             if time.monotonic() < next_s:
                 continue
-            next_s += 1.0 / RATE_HZ
             if writer is None or writer.header_bytes != self.header_bytes:
                 writer = StreamWriter(header_bytes=self.header_bytes, stream_id=stream_id)
             if channel != self.channel():
@@ -164,7 +163,9 @@ class ScriptedVideo:
                 stream_id += 1
                 writer.stream_id = stream_id
             units = encoded(channel)
-            data = writer.picture(units[number % len(units)], 1e3 * (time.monotonic() - self.started_s))
+            # exposed on schedule, however late this thread runs
+            data = writer.picture(units[number % len(units)], 1e3 * (next_s - self.started_s))
+            next_s += 1.0 / RATE_HZ
             number += 1
             if not self.silent:
                 noise, self.noise = self.noise, b""

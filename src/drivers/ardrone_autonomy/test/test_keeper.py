@@ -5,6 +5,7 @@ import os
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -20,16 +21,17 @@ from ardrone_autonomy.protocol import AT_PORT, at
 
 FLY = at.pcmd_mag(1, *HOVER) + at.ref(2, start=True)
 LAND = at.pcmd_mag(1, *HOVER) + at.ref(2, start=False)
-# What of a driver matters here. Arguments: whether it keeps its vehicle in the air, and the addresses.
+# What of a driver matters here. Arguments: whether it keeps its vehicle in the air, for how long what it says holds
+# [s; 0: as a real one's], and the addresses.
 DRIVER = """
 import sys, time
 from ardrone_autonomy.keeper import Keeper
 
-flies, *addresses = sys.argv[1:]
+flies, holds_s, *addresses = sys.argv[1:]
 keeper = Keeper(addresses)
 def note():
     for k in range(len(addresses)):
-        keeper.note(k, time.monotonic(), True, flies == "True")
+        keeper.note(k, time.monotonic() + float(holds_s), True, flies == "True")
 
 note()
 print(keeper._process.pid, flush=True)
@@ -38,6 +40,8 @@ while True:
     time.sleep(0.01)
 """
 LIMIT_S = 20.0
+SO_TIMESTAMPNS = 35  # Linux; `socket` does not have it
+TIMESPEC = struct.Struct("@ll")  # [s], [ns]
 
 
 class Vehicle:
@@ -46,19 +50,25 @@ class Vehicle:
     def __init__(self):
         self.address = free_address()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)  # we may be busy when something comes
         self._socket.bind((self.address, AT_PORT))
 
     def hears(self, wanted):
-        """Wait for a datagram. Returns when it was there."""
+        """Wait for a datagram. Returns when it came in [s, time.time()]."""
         deadline_s = time.monotonic() + LIMIT_S
         while time.monotonic() < deadline_s:
-            if self.hears_within(0.1) == wanted:
-                return time.monotonic()
+            data, time_s = self.hears_within(0.1)
+            if data == wanted:
+                return time_s
         raise AssertionError("%r did not come" % wanted)
 
     def hears_within(self, duration_s):
-        """The next datagram; None: there was none for so long."""
-        return self._socket.recv(2048) if select.select([self._socket], (), (), duration_s)[0] else None
+        """The next datagram, and when it came in [s, time.time()]; None, None: there was none for so long."""
+        if not select.select([self._socket], (), (), duration_s)[0]:
+            return None, None
+        data, ((_, _, stamp),), _, _ = self._socket.recvmsg(2048, socket.CMSG_SPACE(TIMESPEC.size))
+        seconds, nanoseconds = TIMESPEC.unpack(stamp)
+        return data, seconds + 1e-9 * nanoseconds
 
     def close(self):
         self._socket.close()
@@ -74,11 +84,14 @@ def vehicles():
 
 @pytest.fixture
 def drive(vehicles):
-    """Function that starts a driver of the vehicles: (its process, that of its keeper)."""
+    """Function that starts a driver of the vehicles: (its process, that of its keeper).
+
+    The keeper does not take it for one that hangs because this computer is busy, unless holds_s is 0.
+    """
     started = []
 
-    def start(flies=True):
-        words = [sys.executable, "-c", DRIVER, str(flies), *(vehicle.address for vehicle in vehicles)]
+    def start(flies=True, holds_s=600.0):
+        words = [sys.executable, "-c", DRIVER, str(flies), str(holds_s), *(vehicle.address for vehicle in vehicles)]
         driver = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         process = psutil.Process(int(driver.stdout.readline()))
         started.append((driver, process))
@@ -99,7 +112,20 @@ def test_it_speaks_as_the_driver_does():
 
 def test_it_is_silent_as_long_as_the_driver_works(vehicles, drive):
     drive()
-    assert vehicles[0].hears_within(4.0 * STALE_S) is None
+    assert vehicles[0].hears_within(4.0 * STALE_S) == (None, None)
+
+
+def test_a_driver_works_as_long_as_what_it_says_is_not_stale(vehicles):
+    """On a clock of our own: a driver that this computer does not run for so long hangs indeed."""
+    keeper = keeper_module.Keeper([free_address()])  # its process keeps another vehicle
+    kept = keeper_module._Kept(vehicles[0].address, keeper._memory, 0)
+    for k in range(10):
+        keeper.note(0, k * STALE_S, True, True)
+        kept.step((k + 0.99) * STALE_S, False)
+    assert vehicles[0].hears_within(0.0) == (None, None)
+    kept.step((k + 1.01) * STALE_S, False)
+    assert vehicles[0].hears_within(0.0)[0] == FLY
+    keeper.close()
 
 
 def test_vehicles_of_a_driver_that_was_killed_hover_and_then_land(vehicles, drive):
@@ -116,17 +142,17 @@ def test_vehicles_on_the_ground_are_not_brought_into_the_air(vehicles, drive):
     driver.kill()
     vehicles[0].hears(LAND)
     process.wait(LAND_S + LIMIT_S)
-    while (data := vehicles[1].hears_within(0.0)) is not None:
+    while (data := vehicles[1].hears_within(0.0)[0]) is not None:
         assert data == LAND
 
 
 def test_vehicles_of_a_driver_that_hangs_hover_until_it_goes_on(vehicles, drive):
-    driver, process = drive()
+    driver, process = drive(holds_s=0.0)
     os.kill(driver.pid, signal.SIGSTOP)
     vehicles[0].hears(FLY)
     os.kill(driver.pid, signal.SIGCONT)
     deadline_s = time.monotonic() + LIMIT_S
-    while vehicles[0].hears_within(4.0 * STALE_S) is not None:
+    while vehicles[0].hears_within(4.0 * STALE_S)[0] is not None:
         assert time.monotonic() < deadline_s, "it is still speaking"
     assert process.is_running()
 
@@ -136,16 +162,17 @@ def test_a_new_driver_takes_its_vehicles_over(vehicles, drive):
     driver.kill()
     for vehicle in vehicles:
         vehicle.hears(FLY)
-    deadline_s = time.monotonic() + HOVER_S + LIMIT_S
+    deadline_s, taken_s = time.monotonic() + HOVER_S + LIMIT_S, float("inf")
     while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
         assert time.monotonic() < deadline_s
         for vehicle in vehicles:
             take_over(vehicle.address)
+        taken_s = min(taken_s, time.time())
         time.sleep(0.02)
-    heard = []
-    while (data := vehicles[0].hears_within(0.0)) is not None:
-        heard.append(data)
-    assert LAND not in heard, "it was flown by somebody else then"
+    while (heard := vehicles[0].hears_within(0.0)) != (None, None):
+        data, time_s = heard
+        # we may have come late: until then it was right to land
+        assert data != LAND or time_s < taken_s, "it was flown by somebody else then"
     take_over(vehicles[0].address)  # nobody is there: nothing happens
 
 
