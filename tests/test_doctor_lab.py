@@ -36,19 +36,14 @@ PATIENCE_S = 120.0
 GRAPH_HZ = 50.0  # of motion capture: the nodes are asked whether they run
 
 
-def free_udp_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return probe.getsockname()[1]
-
-
 @contextlib.contextmanager
 def reserved_fleet():
     """A fleet at addresses and with a stream port that nobody else uses."""
     reservation = PortReservation()
     try:
         fleet = load_fleet(ROOT / "launch" / "fleets" / "ardrones3.yaml").in_subnet(reservation.subnet)
-        yield dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, stream_port=free_udp_port()))
+        port = free_tcp_port()  # of UDP, but Linux gives it to nobody either
+        yield dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, stream_port=port))
     finally:
         reservation.close()
 
@@ -249,6 +244,7 @@ def everything_is_published():
     return False
 
 
+@pytest.mark.alone
 def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, monkeypatch):
     port = free_tcp_port()
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % port)
@@ -286,7 +282,7 @@ def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, mo
     assert "/cortex_raw" in "".join(text for (check, _), text in found.items() if check == "clock"), found
     assert "the master at http://127.0.0.1:%d answers" % port in found["ros", GREEN]
     assert code == 1 and "nothing comes on /mocap_data, although /stream_markers publishes it" in after["graph", RED]
-    assert "not answering: /stream_markers -> rosnode cleanup" in after["ros", YELLOW], after
+    assert re.search("not answering: .*/stream_markers.* -> rosnode cleanup", after["ros", YELLOW]), after
 
 
 @contextlib.contextmanager
@@ -314,12 +310,14 @@ def lab():
         running.close()
 
 
+@pytest.mark.alone
 def test_every_check_says_something(lab, no_master, tmp_path):
     """Not what: the joystick, the disk, the clock and the load are this computer's."""
     found, _ = doctor(lab.fleet, tmp_path)
     assert {check for check, _ in found} == set(CHECKS)
 
 
+@pytest.mark.alone
 def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
     good = "multicast", "ports", "templates", "axes", "vehicles", "ros", "graph"
     found, code = doctor_process(lab.fleet, tmp_path, "--only", ",".join(("network", "cortex", *good)))
@@ -331,6 +329,7 @@ def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
     assert found["axes", GREEN].count("plausible: fluffy_II, albatross, Raven") == 1
 
 
+@pytest.mark.alone
 def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
     def trouble(the_lab):
         the_lab.world.vehicles["risc2"].set_battery_pct(9.0)
@@ -349,6 +348,7 @@ def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
     assert "charge" in found["vehicles", RED]
 
 
+@pytest.mark.alone
 def test_what_is_wrong_with_motion_capture(lab, no_master, tmp_path):
     only = "--only", "cortex,templates,axes,ports"
     strange = dataclasses.replace(lab.fleet.vehicles[0], template="Fluffy_II")

@@ -11,20 +11,19 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 import xmlrpc.client
 import xmlrpc.server
 
 import pytest
 
 from risc_lab.ros.launching import free_tcp_port
+from risc_lab.testing import LIMIT_S, wait_for
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 COOP = ROOT / "devel/coop.sh"
 SOURCE = ROOT / "src/risc_doctor/machines/coop.sh.in"
 BARE = {"HOME": os.environ.get("HOME", "/root"), "PATH": "/usr/bin:/bin"}
 FROM_BASE = "10.77.0.1 40000 10.77.0.2 22"  # SSH_CONNECTION of a login from another machine
-PATIENCE_S = 30.0  # for what happens within a second or two on a quiet computer
 REFUSED = "already runs /risc1/driver of another launch, whose roslaunch is alive"
 
 
@@ -36,19 +35,12 @@ def coop(*command, path=COOP, **variables):
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=LIMIT_S,
     )
 
 
 def variables_of(text):
     return dict(line.partition("=")[::2] for line in text.splitlines())
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain until " + what
-        time.sleep(0.02)
 
 
 # ---------------------------------------------------------------- a machine that is reached by ssh
@@ -99,7 +91,7 @@ class Sshd:
     def run(self, command):
         """Returns (exit code, output, errors)."""
         process = self.popen(command)
-        output, errors = process.communicate(timeout=PATIENCE_S)
+        output, errors = process.communicate(timeout=LIMIT_S)
         return process.returncode, output, errors
 
     def close(self):
@@ -345,7 +337,7 @@ class BaseStation:
 
     def child(self):
         """XML-RPC client of the roslaunch on the machine, as soon as that has registered."""
-        return xmlrpc.client.ServerProxy(self._children.get(timeout=PATIENCE_S))
+        return xmlrpc.client.ServerProxy(self._children.get(timeout=LIMIT_S))
 
     def start(self, script=POLITE, variables=""):
         """Start a node with a body of shell. Returns the file that it writes to, and roslaunch's client."""
@@ -362,7 +354,7 @@ class BaseStation:
 
     def refused(self):
         """What the machine says when it does not start."""
-        output, errors = self.session.communicate(timeout=PATIENCE_S)
+        output, errors = self.session.communicate(timeout=LIMIT_S)
         assert (self.session.returncode, output) == (1, ""), errors
         return errors
 
@@ -402,7 +394,7 @@ def test_a_launch_that_is_ended_leaves_nothing(station):
     log, child = base.start()
     assert len(guards_of(base.uri)) == 1
     child.shutdown()
-    assert base.session.wait(PATIENCE_S) == 0
+    assert base.session.wait(LIMIT_S) == 0
     assert log.read_text().split() == ["started", "interrupted"]
     assert processes_of(base.uri) == {}
 
@@ -412,7 +404,7 @@ def test_the_exit_code_of_roslaunch_comes_back(station):
     log, child = base.start()
     roslaunch = [pid for pid, words in processes_of(base.uri).items() if "bin/roslaunch -c" in words]
     os.kill(roslaunch[0], signal.SIGKILL)
-    assert base.session.wait(PATIENCE_S) == 128 + signal.SIGKILL
+    assert base.session.wait(LIMIT_S) == 128 + signal.SIGKILL
     assert log.read_text().split() == ["started", "interrupted"], "its nodes do not outlive it"
     assert processes_of(base.uri) == {}
 
@@ -439,7 +431,7 @@ def test_a_second_launch_never_starts_beside_a_first(station):
     third.start()
     assert third.beside == {}
     assert log.read_text().split() == ["started", "interrupted"]
-    assert first.session.wait(PATIENCE_S) >= 0
+    assert first.session.wait(LIMIT_S) >= 0
     fourth = station()
     fourth.start(variables="RISC_MAAP_ALLOW_SECOND=1")
     assert processes_of(third.uri), "launches that share no vehicle may be allowed"
@@ -453,7 +445,7 @@ def test_of_two_launches_at_the_same_time_one_starts(station):
     loser, winner = sorted(bases, key=lambda base: base.session.poll() is None)
     assert "of another launch, whose roslaunch is alive (%s)" % winner.uri in loser.refused()
     winner.child().shutdown()
-    assert winner.session.wait(PATIENCE_S) == 0
+    assert winner.session.wait(LIMIT_S) == 0
 
 
 def test_a_real_launch_over_ssh(machine, tmp_path):
@@ -467,9 +459,9 @@ def test_a_real_launch_over_ssh(machine, tmp_path):
     program.chmod(0o755)
     loader = "env ROS_HOME=%s/far %s" % (tmp_path, COOP)
     tag = (
-        '<machine name="far" address="127.0.0.1" ssh-port="%d" user="%s" env-loader="%s" default="true" timeout="20"/>'
+        '<machine name="far" address="127.0.0.1" ssh-port="%d" user="%s" env-loader="%s" default="true" timeout="%d"/>'
     )
-    tag %= (machine.port, getpass.getuser(), loader)
+    tag %= (machine.port, getpass.getuser(), loader, LIMIT_S)
     (tmp_path / "far.launch").write_text((DRIVER % program).replace("<launch>", "<launch>" + tag))
 
     def launch(name):
@@ -489,11 +481,11 @@ def test_a_real_launch_over_ssh(machine, tmp_path):
         uri = re.search(r"started roslaunch server (http://[\d.:]+/)", (tmp_path / "first.txt").read_text()).group(1)
         assert guards_of(uri)
         second = launch("second")
-        assert second.wait(PATIENCE_S) != 0
+        assert second.wait(LIMIT_S) != 0
         assert "%s (%s)" % (REFUSED, uri) in (tmp_path / "second.txt").read_text()
         assert (tmp_path / "log").read_text().split() == ["started"]
     finally:
         first.send_signal(signal.SIGINT)
-        assert first.wait(PATIENCE_S) == 0
+        assert first.wait(LIMIT_S) == 0
     wait_for(lambda: not processes_of(uri), "everything is gone")
     assert (tmp_path / "log").read_text().split() == ["started", "interrupted"]

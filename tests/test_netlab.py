@@ -10,6 +10,8 @@ import netlab
 import pytest
 from netlab import PATIENCE_S, PREFIX, NetLab, unsupported
 
+from risc_lab.testing import wait_for
+
 HOSTS = {"north": "10.77.0.1/24", "south": "10.77.0.2/24", "east": "10.77.1.3/24"}
 PING = ("import socket, sys; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.settimeout(0.3); "
         "s.sendto(b'x', (sys.argv[1], 7)); s.recv(9)")  # fmt: skip
@@ -102,7 +104,7 @@ def test_a_pulled_cable_and_a_deaf_switch_are_silent_and_come_back(lab):
     def reaches():
         return lab.run("north", ["/usr/bin/python3", "-c", PING, lab.address("south")], check=False).returncode == 0
 
-    assert reaches()
+    wait_for(reaches, "it is reached")
     for break_it, mend_it in (
         (lambda: lab.link("south", "down"), lambda: lab.link("south", "up")),
         (lambda: lab.mute("south", True), lambda: lab.mute("south", False)),
@@ -110,9 +112,7 @@ def test_a_pulled_cable_and_a_deaf_switch_are_silent_and_come_back(lab):
         break_it()
         assert not reaches()
         mend_it()
-        deadline = time.monotonic() + 10.0  # a card whose carrier has come back needs up to a second
-        while not reaches():
-            assert time.monotonic() < deadline
+        wait_for(reaches, "it is back", limit_s=10.0)  # a card whose carrier has come back needs up to a second
     code = lab.interrupt(server)
     assert code != 0 and lab.interrupt(server) == code, "one that has ended needs no signal"
     assert "socket" not in " ".join(lab.processes("south").values())

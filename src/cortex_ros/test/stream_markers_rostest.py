@@ -18,6 +18,7 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from risc_lab.ros.launching import free_tcp_port
 from risc_maap_msgs.msg import MocapStatus, MocapTime
 from risc_msgs.msg import Mocap_data
 
@@ -103,12 +104,6 @@ class Host(threading.Thread):
         self.stream.close()
 
 
-def free_udp_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return probe.getsockname()[1]
-
-
 class Inbox:
     """Collects messages of a topic, newest last."""
 
@@ -131,7 +126,7 @@ class StreamMarkersTest(unittest.TestCase):
     def setUp(self):
         process = os.getpid()
         self.address = "127.%d.%d.9" % (200 + process % 50, process // 50 % 250)
-        self.stream_port = free_udp_port()
+        self.stream_port = free_tcp_port()  # of UDP, but Linux gives it to nobody either
         self.host = Host(self.address, self.stream_port)
         self.host.start()
         self.node = None

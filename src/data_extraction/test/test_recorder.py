@@ -19,6 +19,7 @@ import rosbag
 from talker import message_of, payload
 
 from data_extraction.bags import Bag
+from risc_lab.ros.launching import free_tcp_port
 
 HERE = pathlib.Path(__file__).resolve().parent
 RECORDER = str(HERE.parents[2] / "devel/lib/data_extraction/recorder")
@@ -42,9 +43,7 @@ class Lab:
     def __init__(self, folder, programs):
         self.folder = folder
         self._programs = programs
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+        port = free_tcp_port()
         self.environment = dict(
             os.environ, ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1", ROS_HOME=str(folder)
         )
@@ -181,7 +180,7 @@ def test_every_message_is_recorded_byte_for_byte_in_order(lab, inputs):
     large.process.kill()
     talk.process.kill()
     recorder = lab.recorder("-O", str(again), "/small.*|/large", "/bytes[0-9]")
-    lab.run("rosbag", "play", "--quiet", "--delay", "3", str(path))
+    lab.run("rosbag", "play", "--quiet", "--wait-for-subscribers", "--queue", str(count), str(path))
     wait_for(again, *(payload("", topic, count - 1) for topic in topics), payload("", "/large", 4))
     assert finish(recorder)[0] == 0
     assert sorted(r[:3] for r in raw_messages(again)) == sorted(r[:3] for r in recorded)
@@ -320,7 +319,8 @@ def test_two_recorders_do_not_write_one_bag(lab):
 def test_a_prefix_is_followed_by_the_time(lab):
     recorder = lab.recorder("-o", str(lab.folder / "flight"), "/a")
     lab.talker()({"/a": STRING}, 1)
-    time.sleep(0.1)
+    (active,) = lab.folder.glob("flight_20*.bag.active")
+    wait_for(active.with_suffix(""), payload("", "/a", 0))
     assert finish(recorder)[0] == 0
     (path,) = lab.folder.glob("flight_20*.bag")
     assert texts(path, "/a") == sent("", "/a", 1)

@@ -31,7 +31,7 @@ class Handler:
         return 1, "", 0
 
 
-def connected(updates, wanted):
+def connected(updates, wanted, patience_s):
     """What is connected after updates that came before anybody looked at them."""
     handler = Handler(wanted)
     manager = registration.RegManager(handler)
@@ -39,7 +39,7 @@ def connected(updates, wanted):
         manager.publisher_update(topic, uris)
     thread = threading.Thread(target=manager.run, daemon=True)
     thread.start()
-    handler.over.wait(2.0)
+    handler.over.wait(patience_s)
     handler.over.set()
     thread.join()
     return handler.connected
@@ -51,9 +51,9 @@ ALL = {("/a", ANNOUNCED[0]), ("/b", ANNOUNCED[0]), ("/b", ANSWERED[0])}
 
 def test_what_was_announced_before_the_answer_is_connected(monkeypatch):
     monkeypatch.setattr(registration.RegManager, "publisher_update", publisher_update)
-    assert connected(RACE, ALL) == ALL
+    assert connected(RACE, ALL, 30.0) == ALL
 
 
 def test_rospy_alone_forgets_it():
     """The control arm: when this fails, the module may go."""
-    assert connected(RACE, ALL) == {("/b", ANSWERED[0])}
+    assert connected(RACE, ALL, 2.0) == {("/b", ANSWERED[0])}

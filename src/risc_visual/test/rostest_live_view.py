@@ -22,6 +22,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
+from risc_lab.ros.launching import free_tcp_port
 from risc_maap_msgs.msg import (
     ControllerReport,
     EstimatorStatus,
@@ -63,12 +64,6 @@ OUTPUTS = {
 LATCHED = ("net", "/risc1/safety", "/trajectory_phase")
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def start(port, *arguments):
     """The node as a process; its output is read by whoever wants it."""
     command = [sys.executable, str(NODE), "_port:=%d" % port, "__name:=live_view", *arguments]
@@ -82,7 +77,7 @@ def ball(head, ns, marker_id, position_m):
 class LiveViewTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.port = free_port()
+        cls.port = free_tcp_port()
         cls.node = start(cls.port)
         cls.topics = {
             topic: rospy.Publisher(topic, kind, queue_size=10, latch=topic in LATCHED)
@@ -257,11 +252,12 @@ class LiveViewTest(unittest.TestCase):
         wait_for(lambda: {"inject", "end all faults"} <= page.labels(), page.labels)
         wait_for(lambda: "it is &lt;seen&gt; elsewhere" in page.text() and "mild 0.1" in page.text(), page.text)
         page.press("inject")
-        wait_for(lambda: asked == [("jump", 0.0)], lambda: str(asked))
+        wait_for(lambda: asked == [("jump", 0.0)], lambda: "%s, page: %s" % (asked, page.text()))
         wait_for(lambda: 'class="good">&lt;answer&gt; to jump' in page.text(), page.text)
         page.enter("fault", "wind")
         wait_for(lambda: "it blows" in page.text(), page.text)
         page.enter("argument", "9")
+        offer.publish(FaultKinds(kinds=kinds))  # what comes twice changes nothing
         page.press("inject")
         wait_for(lambda: 'class="bad">&lt;answer&gt; to wind:9' in page.text(), page.text)
         page.enter("argument", " 2 ")

@@ -285,10 +285,11 @@ class TemplateNodesTest(unittest.TestCase):
     def test_c_compressed_pictures_for_bags(self):
         topic = "/risc1/ardrone/image_rect_color/compressed"
         with Results(topic, CompressedImage) as pictures, Results("/diagnostics", DiagnosticArray) as diagnostics:
-            messages = [pictures.wait_for() for _ in range(6)]
+            messages = [pictures.wait_for() for _ in range(11)]
             self.check_header(messages[0])
             gaps_s = np.diff([message.header.stamp.to_sec() for message in messages])
-            self.assertGreater(np.median(gaps_s), 0.19, "10 a second come, 4 are wanted")
+            # The mean: a single gap is two or three of 0.1 s, and less when a picture was sent late.
+            self.assertGreater(np.mean(gaps_s), 0.19, "10 a second come, 4 are wanted")
             picture = picture_from_msg(messages[0]).astype(int)
             errors = [np.abs(np.roll(picture, -STEP_PX * step, axis=1) - self.photograph) for step in range(STEPS)]
             self.assertLess(min(error.mean() for error in errors), 3.0)  # of 255: JPEG

@@ -1,6 +1,7 @@
 """The virtual screen: what a program draws is what the picture holds, and nothing is left running."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -67,7 +68,17 @@ def test_screens_do_not_see_each_other():
         assert not has_orange(second.picture())
 
 
+@pytest.fixture
+def own_display(tmp_path, monkeypatch):
+    """Xvfb takes a display that no other takes: the lowest free one is another test's as soon as it is given back."""
+    program = tmp_path / "Xvfb"
+    program.write_text('#!/bin/sh\nexec %s "$@" :%d\n' % (shutil.which("Xvfb"), 1000 + os.getpid() % 50000))
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+
+
 @needs_screen
+@pytest.mark.usefixtures("own_display")
 def test_everything_ends_with_the_screen():
     with VirtualScreen(200, 100) as screen:
         program = screen.start(window("0", "0", "50", "50", "0xff8000"))
@@ -81,7 +92,8 @@ def test_everything_ends_with_the_screen():
 
 
 @needs_screen
-def test_everything_ends_with_whoever_opened_the_screen(tmp_path):
+@pytest.mark.usefixtures("own_display")
+def test_everything_ends_with_whoever_opened_the_screen():
     """Killed at once, not even interrupted."""
     script = """
 import time, psutil

@@ -283,14 +283,13 @@ def test_a_line_that_takes_nothing_does_not_stop_what_comes(serial):
 
 def test_channels_are_given_back_when_it_ends(where):
     with Running(where) as vehicle:
-        with Driver(vehicle.device, enable_rc_control=True) as driver:
+        with Driver(vehicle.device, enable_rc_control=True, rc_timeout=60_000) as driver:
             driver.hears()
             driver.link.post(driver.link.autopilot.override, [1400] * 8, time.monotonic())
             wait_for(lambda: vehicle.channels_us() == [1400] * 8, "the override")
-            held_s = time.monotonic()
         wait_for(lambda: vehicle.channels_us() == list(scripted_autopilot.RADIO_US), "the release")
         sent = vehicle.named("RC_CHANNELS_OVERRIDE")
-        assert [message.chan1_raw for message in sent][-1] == 0, "after %g s" % (time.monotonic() - held_s)
+        assert [message.chan1_raw for message in sent][-1] == 0
 
 
 def test_damaged_bytes_cost_only_their_own_messages(where):

@@ -23,8 +23,11 @@ class FaultPanel:
     def offer(self, kinds):
         """The lab knows these: FaultKind, rospy's. They take the place of those before."""
         with self._lock:
+            offered = {kind.name: kind for kind in kinds}
+            if offered == self._kinds:  # rospy may bring a latched message twice: what somebody chose and pressed stays
+                return
             self.close()
-            self._kinds = {kind.name: kind for kind in kinds}
+            self._kinds = offered
             if self._kinds:
                 self._build()
 
