@@ -171,6 +171,15 @@ def test_a_figure_that_brings_wide_vehicles_too_near_is_refused():
     assert len(course_for_fleet("knot", 4, Arena())) == 4, "AR.Drones fly it as ever"
 
 
+@pytest.mark.parametrize(("name", "number"), [("circles3", "centre_m"), ("origin", "spacing_m"), ("spin", "spacing_m")])
+def test_wide_vehicles_with_places_of_their_own_are_farther_apart(name, number):
+    def apart_m(*wider_m, **options):
+        return course_separation(course_for_fleet(name, 3, Arena(), *wider_m, **options), 400)
+
+    assert apart_m(0.3) == pytest.approx(apart_m() + 0.3)
+    assert apart_m(0.3, **{number: 1.1}) == apart_m(**{number: 1.1}), "but where the number is given"
+
+
 @pytest.mark.parametrize("name", ["circle", "circles3", "flat8"])
 def test_many_wide_vehicles_are_kept_farther_apart_or_refused(name):
     course = course_for_fleet(name, 8, Arena(8.0, 8.0), 0.3)

@@ -256,6 +256,13 @@ def _ring(vehicles, radius_m, height_m):
 COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot, origin, quadrants, slanted8, spin)}
 
 
+# Number of a course by which its vehicles are apart: name, and how much of it a metre of distance is.
+_APART = {
+    "circles3": ("centre_m", 0.5 / math.sin(math.pi / 3.0)),
+    "origin": ("spacing_m", 1.0),
+    "spin": ("spacing_m", 1.0),
+}
+
 # ------------------------------------------------------------------------------------------------ courses by name
 
 
@@ -308,11 +315,15 @@ def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
     Copies are side by side first, then above each other. Raises ValueError when there is no room. Up to FEW_VEHICLES
     AR.Drones fly one figure in any case.
 
-    wider_m: what the two widest of the fleet reach farther than two AR.Drones (`widest_pair_m`). Up to FEW_VEHICLES of
-    which some are wider fly one figure unless it brings them so near that they would hold: ValueError.
+    wider_m: what the two widest of the fleet reach farther than two AR.Drones (`widest_pair_m`). Where a course has a
+    number for how far apart they are, it is as much larger unless options say it. Up to FEW_VEHICLES of which some are
+    wider fly one figure unless it brings them so near that they would hold: ValueError.
     """
     safe_m = SAFE_SEPARATION_M + wider_m
     if vehicles <= FEW_VEHICLES:
+        number, share = _APART.get(str(name), ("", 0.0))
+        if wider_m and number and number not in options:
+            options |= {number: getattr(course_settings(name)(), number) + share * wider_m}
         course = make_course(name, vehicles, **options)
         closest_m, least_m = course_separation(course, 400), _LEAST_SEPARATION_M + wider_m
         if wider_m and closest_m < least_m:
