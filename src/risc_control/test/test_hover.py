@@ -2,13 +2,11 @@
 
 import math
 
-import numpy as np
 import pytest
 from hover_desk import IRIS, Desk, G, Iris, flown, level_at, said
 from joystick_desk import DOWN, EMERGENCY, TAKEOFF_LAND, TOGGLE, UP
 
 from risc_control import hover, vehicle_pilot
-from risc_control.braking import TILT_RAD
 from risc_control.safety import FailsafeLevel, Rule
 from risc_control.separation import Look
 from risc_control.vehicle_pilot import VehicleNodeParams, VehiclePilot
@@ -158,28 +156,8 @@ def test_from_motion_it_comes_to_a_stop():
     z_m, tilts_rad = desk.iris.position_m[2], []
     desk.press(TOGGLE)
     desk.run(4.0, lambda: tilts_rad.append(math.hypot(*desk.iris.angles_rad[:2])))
-    assert math.hypot(*desk.iris.velocity_m_s[:2]) < 0.02 and max(tilts_rad) < TILT_RAD
+    assert math.hypot(*desk.iris.velocity_m_s[:2]) < 0.02 and max(tilts_rad) < 0.3
     assert desk.iris.position_m[2] == pytest.approx(z_m, abs=0.03)
-
-
-def test_what_is_under_way_when_a_hold_begins_is_reckoned_with(monkeypatch):
-    """A controller brakes it hard, and is taken away: the hold adds nothing to that."""
-
-    def runs_back_m_s():
-        desk = flown(more=1.0)
-        desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=-0.1)
-        desk.run(0.5)
-        forward = np.array(desk.iris.velocity_m_s[:2]) / math.hypot(*desk.iris.velocity_m_s[:2])
-        desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=0.3)
-        desk.run(0.12)
-        desk.press(TOGGLE)
-        speeds_m_s = []
-        desk.run(1.5, lambda: speeds_m_s.append(forward @ desk.iris.velocity_m_s[:2]))
-        return -min(speeds_m_s)
-
-    assert runs_back_m_s() < 0.06
-    monkeypatch.setattr(hover, "_STOPS_S", 0.0)  # the control arm: by what is seen alone
-    assert runs_back_m_s() > 0.1
 
 
 def test_while_the_next_state_may_only_be_late_it_is_level():

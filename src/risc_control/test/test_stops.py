@@ -58,8 +58,7 @@ def test_it_stops_as_the_fence_counts_on(wanted_m_s, least_m_s2, monkeypatch):
         speed_m_s, way_m, slows_m_s2 = stop(seed, wanted_m_s)
         assert abs(speed_m_s - wanted_m_s) < 0.2
         assert way_m < fence.stop_m(0, speed_m_s) and slows_m_s2 > least_m_s2
-    # the control arm: it is not braked, and the place that is held slows down more slowly
-    monkeypatch.setattr(hover, "_STOPS_S", 0.0)
+    # the control arm: the place that is held slows down more slowly
     monkeypatch.setattr(hover, "_STOP_M_S2", 0.4)
     speed_m_s, way_m, slows_m_s2 = stop(0, wanted_m_s)
     assert way_m > fence.stop_m(0, speed_m_s) and slows_m_s2 < hover.PLACE_M_S2

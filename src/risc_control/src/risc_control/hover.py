@@ -8,8 +8,7 @@ An AR.Drone takes off, hovers and lands when it is told to. A type whose adapter
 
 HOLDING is the thesis' "simple PID controller for position hold" by motion capture (5.2.2) about a place that moves with
 limited acceleration: where an operator's sticks send it, or out of another vehicle's way. It begins with the motion
-that the vehicle has: what was commanded before is under way still, so it is stopped by `Braking` first, which reckons
-with that. While a controller flies, nothing here commands.
+that the vehicle has. While a controller flies, nothing here commands.
 
 While the vehicle follows its pilot's transmitter (`FlightState.PILOT`) nothing is ordered; what is sent would bring it
 to a stop. It stays the pilot's until an operator takes it back (`take_back`).
@@ -70,8 +69,7 @@ _NOISE_M, _NOISE_M_S = 0.15, 0.1  # they count beyond all that was reckoned for 
 _FELT_M, _FELT_M_S = 0.8, 1.0  # and are not believed where they are so far from it
 _FELT_1_S = 1.0  # of the height that is reckoned, by its error
 
-_NEW_S = 0.2  # without a command of the hold: it begins anew,
-_STOPS_S = 1.0  # and has stopped after so long
+_NEW_S = 0.2  # without a command of the hold: it begins anew
 _MAX_GAP_S = 0.2  # between states: the observer begins anew
 _OBSERVER_RAD_S, _TRIM_M_S2, _STEP_S = 2.0, 3.0, 0.02
 _BLIND_S = 1.0  # a longer time without anything is not reckoned through
@@ -156,7 +154,6 @@ class Hover:
         self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
         self._integral_m_s2 = [0.0, 0.0]
         self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
-        self._stops_s = -math.inf  # it is brought to a stop until then
         flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads what is
         thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled
 
@@ -391,29 +388,13 @@ class Hover:
             return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0, waits)
         if now_s - self._held_s > _NEW_S or self.has_pilot:
             self._begin()
-            self._stops_s = -math.inf if self.has_pilot else now_s + _STOPS_S
         self._held_s = now_s
         spun = (now_s - self._since_s) / _SPIN_UP_S
         if self.phase is Phase.CLIMBING and spun < 1.0:
             self._begin()
             weights = _SPIN_UP_FROM + spun * (_SPIN_UP_TO - _SPIN_UP_FROM)
             return Command(0.0, 0.0, 0.0, weights * self._mass_kg * GRAVITY_M_S2)
-        brake = self._brake(now_s, any(velocity_m_s[:2]))
-        command = self._held(min(step_s, _NEW_S), (*velocity_m_s[:2], climb_m_s), yaw_rate_rad_s)
-        return command if brake is None else command._replace(roll_rad=brake.roll_rad, pitch_rad=brake.pitch_rad)
-
-    def _brake(self, now_s, is_sent):
-        """`Brake` that stops it; None: it is sent elsewhere, or has stopped, and the place is held where it does."""
-        if now_s >= self._stops_s:
-            return None
-        brake = None if is_sent else self._braking.command(now_s)
-        if brake is not None and not brake.stopped:
-            return brake
-        self._stops_s = -math.inf
-        if brake is not None:
-            self._place_m[:2], self._place_m_s[:2] = brake.then.position_m[:2], (0.0, 0.0)
-            self._integral_m_s2 = [0.0, 0.0]
-        return None
+        return self._held(min(step_s, _NEW_S), (*velocity_m_s[:2], climb_m_s), yaw_rate_rad_s)
 
     def _climb_m_s(self, wanted_m_s):
         """At which the place that is held is to climb."""
