@@ -178,6 +178,8 @@ def test_wide_vehicles_with_places_of_their_own_are_farther_apart(name, number):
 
     assert apart_m(0.3) == pytest.approx(apart_m() + 0.3)
     assert apart_m(0.3, **{number: 1.1}) == apart_m(**{number: 1.1}), "but where the number is given"
+    alone = course_for_fleet(name, 1, Arena(), 0.15)
+    assert np.array_equal(alone.at(3.3), make_course(name, 1).at(3.3)), "one alone is where it ever was"
 
 
 @pytest.mark.parametrize("name", ["circle", "circles3", "flat8"])

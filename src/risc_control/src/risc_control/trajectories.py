@@ -322,7 +322,7 @@ def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
     safe_m = SAFE_SEPARATION_M + wider_m
     if vehicles <= FEW_VEHICLES:
         number, share = _APART.get(str(name), ("", 0.0))
-        if wider_m and number and number not in options:
+        if wider_m and vehicles > 1 and number and number not in options:
             options |= {number: getattr(course_settings(name)(), number) + share * wider_m}
         course = make_course(name, vehicles, **options)
         closest_m, least_m = course_separation(course, 400), _LEAST_SEPARATION_M + wider_m

@@ -244,13 +244,14 @@ class TrajectoryNode(ReferenceNode):
         which are in `more`.  default_options: as make_course takes them.
         """
         name, fleet_vehicles = chosen_course(default_course), vehicles()
-        numbers = course_settings(name)(**default_options if name == default_course else {})
+        own = default_options if name == default_course else {}
+        numbers = course_settings(name)(**own)
         params, speed, numbers, *self.more = load_params(
             TrajectoryParams, CourseParams, numbers, *kinds, known=("course", "waypoints", *VEHICLE_KEYS), lenient=True
         )
-        course, factor = fleet_course(
-            name, fleet_vehicles, known_arena(), speed.course_speed, params.yaw, **vars(numbers)
-        )
+        # what nobody has said may be another number for wide vehicles
+        said = {key: number for key, number in vars(numbers).items() if key in own or rospy.has_param("~" + key)}
+        course, factor = fleet_course(name, fleet_vehicles, known_arena(), speed.course_speed, params.yaw, **said)
         warn_of_near_vehicles(course, fleet_vehicles)
         super().__init__(ManagerWiring(fleet_vehicles, course, fleet_ways(params, fleet_vehicles, factor)))
 
