@@ -215,6 +215,19 @@ def test_a_students_controller_takes_part_and_all_files_are_written(monkeypatch,
 
 
 @pytest.mark.parametrize(
+    "options, seeds, flight_s",
+    [
+        (("--seeds", "3"), (1, 2, 3), 60.0),
+        (("--seeds", "4-6", "--minutes", "6"), (4, 5, 6), 120.0),
+        (("--seed", "4", "--seeds", "9"), (4,), 60.0),
+    ],
+)
+def test_flights_can_be_shared_out_by_their_seeds(options, seeds, flight_s):
+    plan = command.plan_of(command.arguments(["--faults", "none", *options])[1])
+    assert plan.seeds == seeds and plan.flight_s == flight_s
+
+
+@pytest.mark.parametrize(
     "options, words",
     [
         (("--faults", "plague"), "unknown fault 'plague'"),
@@ -224,7 +237,10 @@ def test_a_students_controller_takes_part_and_all_files_are_written(monkeypatch,
         (("--faults", "plague.yaml"), "plague.yaml"),
         (("--against", "plague.json"), "plague.json"),
         (("--minutes", "0"), "argument --minutes: must be a number from 0.01 on, found 0"),
-        (("--seeds", "0"), "argument --seeds: must be a number from 1 on, found 0"),
+        (("--seeds", "0"), "argument --seeds: must be N, or A-B from 1 on, found 0"),
+        (("--seeds", "0-4"), "argument --seeds: must be N, or A-B from 1 on, found 0-4"),
+        (("--seeds", "4-"), "argument --seeds: must be N, or A-B from 1 on, found 4-"),
+        (("--seeds", "5-4"), "argument --seeds: must be N, or A-B from 1 on, found 5-4"),
         (("--faults", "motor_loss"), "no grades"),
         (("--json", "plague/card.json"), "no folder plague"),
         (("--faults", ","), "--faults"),

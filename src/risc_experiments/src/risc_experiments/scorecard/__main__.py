@@ -52,8 +52,8 @@ def arguments(argv=None):
     add("--controllers", metavar="A,B", type=_names, default=(Flight.controller,), help="of %s (default: %s)"
         % (", ".join(CONTROLLERS.names()), Flight.controller))  # fmt: skip
     add("--minutes", type=number(0.01), metavar="M", help="on the course, at least, of each row")
-    add("--seeds", type=number(1), metavar="N", help="N flights of each row, with the seeds 1 to N; with --minutes M/N "
-        "minutes each")  # fmt: skip
+    add("--seeds", type=_seeds, metavar="N|A-B", help="N flights of each row, with the seeds 1 to N, or those with the "
+        "seeds A to B: a part for each of several computers, say; with --minutes M/N minutes each")  # fmt: skip
     add("--seed", type=number(1), metavar="K", help="only the flight of each row that has this seed, to look into it")
     add("--no-ladder", action="store_false", dest="ladder", help="control arm: the vehicle nodes' safety ladder is off")
     add("--from", type=pathlib.Path, metavar="BAG", dest="bag", help="write the faults that a bag shows into DIR; fly "
@@ -79,19 +79,29 @@ def _names(text):
     return names
 
 
+def _seeds(text):
+    """The seeds of "N" or "A-B"."""
+    first, dash, last = text.partition("-")
+    try:
+        seeds = range(int(first), int(last) + 1) if dash else range(1, int(first) + 1)
+    except ValueError:
+        seeds = ()
+    if not seeds or seeds[0] < 1:
+        raise argparse.ArgumentTypeError("must be N, or A-B from 1 on, found %s" % text)
+    return seeds
+
+
 def plan_of(args):
     """The Plan of the options. Raises ValueError."""
     params = load_params(args.settings)
     quick = params.quick
     flight_s, minutes = (quick.flight_s, quick.minutes) if args.quick else (params.flight_s, params.minutes)
     if args.seeds is not None:
-        flight_s = flight_s if args.minutes is None else 60.0 * args.minutes / args.seeds
+        flight_s = flight_s if args.minutes is None else 60.0 * args.minutes / len(args.seeds)
     elif args.minutes is not None:
         minutes, flight_s = args.minutes, min(flight_s, 60.0 * args.minutes)
     flight_s = max(flight_s, params.least_flight_s)
-    seeds = range(1, args.seeds + 1) if args.seed is None and args.seeds is not None else None
-    if args.seed is not None:
-        seeds = (args.seed,)
+    seeds = args.seeds if args.seed is None else (args.seed,)
     names = args.faults or (quick.faults if args.quick else (NONE, *members(params), RANDOM))
     severities = args.severities or (quick.severities if args.quick else GRADES)
     _check(severities, GRADES, "severity", "severities")
