@@ -28,6 +28,7 @@ from risc_lab.ros.launching import MARK, marked_processes
 pytestmark = pytest.mark.alone
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 HELD_UP_MS = 1e3 * (NodeParams().queue_s - 1.0 / 200.0)  # age of the first frame that waits when the last comes
+ENDED_S = 60.0  # until all programs of a flight have landed their vehicles and ended
 PAIR_RATE_HZ = 100.0  # of two flights at the same time: two cores have no time for two at 200 Hz and a busy neighbour
 
 
@@ -225,6 +226,23 @@ def test_what_a_killed_flight_leaves_is_landed_and_ended(pair):
     folder, _ = pair["killed"]
     vehicle = json.loads((folder / "virtual_lab.json").read_text())["vehicles"]["risc1"]
     assert (vehicle["phase"], vehicle["host"]["landings"]) == ("landed", 1)
+
+
+@pytest.mark.release
+def test_a_flight_whose_command_is_killed_leaves_nothing(tmp_path):
+    """roslaunch gets a signal when its parent dies. The virtual lab ends with the nodes, so nobody sees them land."""
+    process = start(tmp_path, "--vehicles", "1", "--duration", "120")
+    try:
+        wait_for_line(process, tmp_path, "on course for")
+        process.kill()
+        process.wait()
+        end_s = time.monotonic() + ENDED_S
+        while left_behind(tmp_path) and time.monotonic() < end_s:
+            time.sleep(0.2)
+        assert left_behind(tmp_path) == []
+    finally:
+        end(process, tmp_path)
+    assert (tmp_path / "flight.bag").exists(), "the recorder had no time to complete it"
 
 
 @pytest.mark.release

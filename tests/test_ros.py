@@ -120,9 +120,16 @@ def test_the_states_that_a_controller_flies_by_are_an_argument(name):
         assert [node.name for node in config.nodes if node.type == "quad_EKF.py"] == (["EKF"] if argv else [])
 
 
-def test_nothing_is_built_under_nodes_that_run():
-    node = [sys.executable, "-c", "import time; time.sleep(60.0)", "__name:=pretender"]
-    with subprocess.Popen(node, env=dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))) as process:
+@pytest.mark.parametrize(
+    "words",
+    [
+        [sys.executable, "-c", "import time; time.sleep(60.0)", "__name:=by_roslaunch"],
+        [str(ROOT / "devel/lib/by_rosrun"), "-c", "import time; time.sleep(60.0)"],
+    ],
+)
+def test_nothing_is_built_under_nodes_that_run(words):
+    environment = dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))
+    with subprocess.Popen(words, executable=sys.executable, env=environment) as process:
         try:
             command = [str(ROOT / "maap"), "build"]
             done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
