@@ -12,12 +12,13 @@ from flying import ROOT, end, finish, fly, left_behind, start, wait_for_line
 
 from data_extraction.bags import Bag
 from risc_control.vehicles import FlightState
-from risc_maap_msgs.msg import Safety
+from risc_maap_msgs.msg import PpmStatus, Safety, VehiclePhase
 
 pytestmark = pytest.mark.alone
-RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
+RMSE_LIMIT_M = 0.008  # the requirement; docs/performance.md measures what is reached
+ACCIDENT_M = 0.05  # a gate for a fleet of which the requirement says nothing
 GONE_S = 60.0  # longer than the rest of the flight
-LATE_S = 1.0  # what a busy computer may add to the limits of the ladder
+LATE_S = 0.3  # what a busy computer may add to the limits of the ladder
 
 
 def process_of(folder, word):
@@ -27,9 +28,9 @@ def process_of(folder, word):
     return process
 
 
-def cut_off(channel, fault="blackhole"):
+def cut_off(channel, fault="blackhole", duration_s=GONE_S):
     """Something happens to a wire of the vehicle."""
-    request = "{fault: '%s:duration_s=%g,channel=%s', start_s: 0.0}" % (fault, GONE_S, channel)
+    request = "{fault: '%s:duration_s=%g,channel=%s', start_s: 0.0}" % (fault, duration_s, channel)
 
     def inject(folder):
         master = process_of(folder, "/rosmaster").environ()
@@ -47,12 +48,14 @@ def kill(word):
 
 
 # What fails: how; the rules of the ladder of which one lands the vehicle (without: the autopilot, or a node that came
-# back, does), and their limit [s]; the topic whose last message says when it failed, None: a program was killed.
+# back, does), and their limit [s]; the topics of which it is the silence.
+BOARD, TELEMETRY = ("/iris1/ppm_status",), ("/iris1/apm/state", "/iris1/apm/status", "/iris1/apm/rc")
 FAILURES = {
-    "board reset": (cut_off("iris1/arduino", "cut"), {Safety.NAVDATA}, 0.5, "/iris1/ppm_status"),
-    "serial line": (cut_off("iris1/arduino"), {Safety.NAVDATA}, 0.5, "/iris1/ppm_status"),
-    "telemetry": (cut_off("iris1/mavlink"), {Safety.NAVDATA, Safety.REQUEST}, 2.5, "/iris1/apm/state"),
-    "controller": (kill("IRIS_DF_Demo.py"), {Safety.CONTROLS}, 0.5, None),
+    "board reset": (cut_off("iris1/arduino", "cut", 0.05), {Safety.NAVDATA}, 0.5, BOARD),
+    "board resets": (cut_off("iris1/arduino", "cut"), {Safety.NAVDATA}, 0.5, BOARD),
+    "serial line": (cut_off("iris1/arduino"), {Safety.NAVDATA}, 0.5, BOARD),
+    "telemetry": (cut_off("iris1/mavlink"), {Safety.NAVDATA, Safety.REQUEST}, 2.5, TELEMETRY),
+    "controller": (kill("IRIS_DF_Demo.py"), {Safety.CONTROLS}, 0.5, ("/controls",)),
     "roscopter": (kill("roscopter"), None, None, None),
     "vehicle node": (kill("risc_controller.py"), None, None, None),
 }
@@ -67,18 +70,26 @@ def landing_of(path, after_s):
     return None
 
 
-def last_before(path, topic, before_s):
-    """Receipt time [s] of the last message of a topic before a time."""
+def last_before(path, topics, before_s):
+    """Receipt time [s] of the last message before a time; of the board's reports, the last one in which it flies."""
     with Bag(path) as bag:
-        return max(receipt_s for _, receipt_s, _ in bag.messages([topic]) if receipt_s < before_s)
+        return max(
+            receipt_s
+            for topic, receipt_s, message in bag.messages(topics)
+            if receipt_s < before_s and not (topic in BOARD and message.state != PpmStatus.FLYING)
+        )
 
 
 def test_the_figures_of_chapter_6(tmp_path):
-    code, output, summary, folder = fly(tmp_path, "iris", "--duration", "5", "--mocap-rate", "100")
+    """The way to a figure takes 5 s of its time."""
+    code, output, summary, folder = fly(tmp_path, "iris", "--duration", "9", "--mocap-rate", "100")
     assert code == 0, output
     assert summary["vehicles"]["IRIS"]["position_rmse_m"] < RMSE_LIMIT_M
     with Bag(folder / "flight.bag") as bag:
         counts = bag.topics
+        phases = [message for _, _, message in bag.messages(["/trajectory_phase"])]
+    flown = {told.course for told in phases if any(it.phase == VehiclePhase.COURSE for it in told.vehicles)}
+    assert flown == {"origin", "slanted8", "flat8", "circle"}
     assert all(counts["/iris1/" + topic] > 20 for topic in ("controls", "ppm_status", "apm/state", "apm/status"))
     assert left_behind(folder) == []
 
@@ -90,7 +101,7 @@ def test_two_ardrones_and_an_iris_fly_by_one_controller(tmp_path):
     assert code == 0, output
     flown = summary["vehicles"]
     assert set(flown) == {"fluffy_II", "albatross", "IRIS"}
-    assert max(vehicle["position_rmse_m"] for vehicle in flown.values()) < RMSE_LIMIT_M
+    assert max(vehicle["position_rmse_m"] for vehicle in flown.values()) < ACCIDENT_M
     with Bag(folder / "flight.bag") as bag:
         assert all(bag.topics[topic] > 200 for topic in ("/risc1/cmd_vel", "/risc2/cmd_vel", "/iris1/controls"))
     assert left_behind(folder) == []
@@ -117,7 +128,7 @@ def test_its_pilot_takes_over_and_gives_it_back(tmp_path):
 @pytest.mark.release
 @pytest.mark.parametrize("name", FAILURES)
 def test_what_fails_in_flight_lands_the_vehicle(tmp_path, name):
-    let_fail, rules, limit_s, topic = FAILURES[name]
+    let_fail, rules, limit_s, topics = FAILURES[name]
     process = start(tmp_path, "iris", "--duration", "5")
     try:
         wait_for_line(process, tmp_path, "at the origin")
@@ -129,11 +140,13 @@ def test_what_fails_in_flight_lands_the_vehicle(tmp_path, name):
     lab = json.loads((tmp_path / "virtual_lab.json").read_text())
     assert (lab["vehicles"]["iris1"]["phase"], lab["crashes"]) == ("landed", []), output
     assert left_behind(tmp_path) == []
+    if topics is BOARD:  # its failsafe is a lost radio to the autopilot
+        with Bag(tmp_path / "flight.bag") as bag:
+            assert "LAND" in {message.mode for _, _, message in bag.messages(["/iris1/apm/state"])}, output
     if rules is None:
         return
     ordered_s, order = landing_of(tmp_path / "flight.bag", failed_s)
-    if topic is not None:
-        failed_s = last_before(tmp_path / "flight.bag", topic, ordered_s)
-    print("%s: landing ordered after %.2f s: %s" % (name, ordered_s - failed_s, order.reason))
+    silent_s = ordered_s - last_before(tmp_path / "flight.bag", topics, ordered_s)
+    print("%s: landing ordered after %.2f s: %s" % (name, silent_s, order.reason))
     assert code == 1 and order.rule in rules
-    assert ordered_s - failed_s < limit_s + LATE_S
+    assert silent_s < limit_s + LATE_S

@@ -12,6 +12,7 @@ from risc_simulator.world import World
 
 SEED, LIFE_S = 1, 300.0  # the battery of this one is small: it drains by 60 % while it flies
 ON_COURSE_S = 175.0
+HEIGHT_LIMIT_M = 0.03
 FLOWN_S = 560.0  # until a flight has ended and been judged, on a computer that does much else
 
 
@@ -39,6 +40,10 @@ def test_the_fit_of_a_flight_is_the_labs_curve(tmp_path, monkeypatch):
     options = ("--fleet", str(path), "--vehicles", "1", "--trajectory", "origin", "--seed", str(SEED))
     process = flying.start(folder, *options, "--duration", str(ON_COURSE_S))
     _, output = flying.finish(process, folder, FLOWN_S)
+
+    flown = flying.summary_of(folder)["vehicles"]["IRIS"]
+    print("off its place by at most %.1f mm" % (1e3 * flown["position_max_m"]))
+    assert flown["position_max_m"] < HEIGHT_LIMIT_M, "in height alone, then, too"
 
     name, found = fit_bag(folder / "flight.bag", params=FitParams())
     assert name == "IRIS" and np.ptp(found.points.pct) >= 50.0, output
