@@ -101,7 +101,7 @@ class At(Parser):
             check(re.fullmatch(r"[A-Z][A-Z0-9_]*", name) and 0 <= sequence < 2**32, "a name or number", data)
             for kind, value in zip(SIGNATURES.get(name, ""), arguments, strict=name in SIGNATURES):
                 check(isinstance(value, {"i": int, "f": float, "s": str}[kind]), "an argument", data)
-                check(kind != "f" or math.isfinite(value), "a stick that is no number", data)
+                check(kind != "f" or math.isfinite(value), "a stick that is not a number", data)
 
     sabotage = (wire, "int_to_float", lambda pattern: struct.unpack("<f", struct.pack("<I", pattern & 0xFFFFFFFF))[0])
 
@@ -127,7 +127,7 @@ class Configuration(Parser):
             check(isinstance(value, KEYS[key].kind), "a value of another kind", data)
             low, high = self.LIMITS.get(key, (-math.inf, math.inf))
             check(key not in self.LIMITS or low <= value <= high, "a limit of flying", data)
-            check(not isinstance(value, float) or math.isfinite(value), "a value that is no number", data)
+            check(not isinstance(value, float) or math.isfinite(value), "a value that is not a number", data)
         if next(self._turn) % 10_000 == 0:
             whole = self._store.text()
             check(whole.count(b"\n") == len(KEYS) and whole.count(b"\0") == 1, "a line that is none", whole)

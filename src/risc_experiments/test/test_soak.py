@@ -373,7 +373,7 @@ def test_faults_of_several_soaks_add_up(tmp_path, capsys):
 
 def test_a_folder_that_is_no_soaks_is_named(tmp_path, capsys):
     (tmp_path / table.RECORD).write_text("no\n{}\n")
-    for folder, said in ((tmp_path, "line 1: this is no line of a soak"), (tmp_path / "none", "No such file")):
+    for folder, said in ((tmp_path, "line 1: not a line of a soak"), (tmp_path / "none", "No such file")):
         with pytest.raises(SystemExit) as end:
             main(["--table", str(folder)])
         assert end.value.code == 2 and said in capsys.readouterr().err.splitlines()[-1]

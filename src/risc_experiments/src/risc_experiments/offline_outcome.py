@@ -36,7 +36,7 @@ class FaultOutcome(NamedTuple):
 
 
 def breaches_of(world, chains):
-    """Breaches in the order of their times; of one that fell without a crash: when its motors stood still."""
+    """Breaches in the order of their times; of one that fell without a crash: when its motors stopped."""
     found = [Breach(crash.time_s, crash.namespace, crash.reason) for crash in world.crashes if not crash.other]
     crashed = {crash.namespace for crash in world.crashes}
     found += [Breach(chain.fell_s, chain.name, "fell: its motors were cut") for chain in chains

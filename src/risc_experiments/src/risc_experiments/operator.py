@@ -6,7 +6,7 @@ that has fallen silent is asked to land by its service: it may have landed alrea
 
     waiting -> takeoff -> settle -> fly -> home -> land -> done | aborted
 
-After the end it waits; told to (`fly_again`), it begins anew with all vehicles.
+After the end it waits; told to (`fly_again`), it starts over with all vehicles.
 
 Whatever lasts too long, and the request to land, leads to `land`. A vehicle that lands by itself (its loss ladder),
 falls silent or loses its joystick node is noted as failed: it is told to land, again and again until it reports that it
@@ -26,7 +26,7 @@ from risc_lab.settings import Count, NotNegative, Settings
 JOY_RATE_HZ = 10.0  # of its joysticks; once a message it looks, decides and presses
 _PRESS_MESSAGES = 2  # a button is down in so many messages, and up in at least as many: no late clock loses an edge
 _LAND_AGAIN_S = 2.0
-_LISTEN_S = 1.0  # to whoever is flying already
+_LISTEN_S = 1.0  # to vehicles that fly already
 _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
 _TOGGLE_AGAIN_S = 1.0

@@ -62,6 +62,6 @@ def numbers_of(controller, changes):
         try:
             numbers[key] = float(value)
         except ValueError:
-            raise ValueError("--set %s: %r is no number" % (change, value)) from None
+            raise ValueError("--set %s: %r is not a number" % (change, value)) from None
     replace(params, **numbers)  # checks limits
     return numbers

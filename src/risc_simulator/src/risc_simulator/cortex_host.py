@@ -229,7 +229,7 @@ class CortexHost(SocketHost):
                     self._stream_socket.setsockopt(socket.IPPROTO_IP, option, value)
             except OSError as error:
                 raise OSError(
-                    error.errno or errno.EADDRNOTAVAIL,  # without a number when it is no address at all
+                    error.errno or errno.EADDRNOTAVAIL,  # without a number when it is not an address at all
                     "cannot multicast through interface %s (%s): give the address of a network card of this "
                     "computer as the interface, or none for the host's own" % (interface, error.strerror or error),
                 ) from error
@@ -423,7 +423,7 @@ class CortexHost(SocketHost):
                 self._take.clear()
                 self._play_mode = 0
             case "StopRecording" if self._recording is not None and self._recording.active:
-                # one that was ended before its first frame was none: it has no last frame
+                # one that was ended before its first frame does not count: it has no last frame
                 stopped = self._recording._replace(active=0, last_frame=self._number)
                 self._recording = stopped if self._take else None
                 self._take_at = max(len(self._take) - 1, 0)

@@ -167,7 +167,7 @@ class Injector:
             raise ValueError("fault %s acts on no channel: leave '%s' out" % (event.fault, event.channel))
         if "hosts" in settings.acts_on:
             if self._hosts is None:
-                raise ValueError("fault %s acts on hosts: here are none" % event.fault)
+                raise ValueError("fault %s needs hosts; there are none here" % event.fault)
             return [self._hosts]
         return [vehicles[name] for name in names]
 

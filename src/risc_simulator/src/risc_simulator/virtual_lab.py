@@ -8,7 +8,7 @@ Lab time is seconds since the start. World time runs behind it by the reported d
 exposed at world time k / rate and sent at lab time k / rate + reported delay. The schedule is absolute, so it does not
 drift; after a delay of the computer the missed frames follow at once, each with its own exposure time. A computer that
 is too slow for that leaves frames out, so that what is seen and what is commanded stay near real time; while it sleeps,
-lab time stands still.
+lab time stops.
 
 One process serves all vehicles: 50 in flight take 0.27 of a core (./maap bench world), ten take 0.11, so
 dividing the hosts among processes would gain less than it costs.
@@ -264,7 +264,7 @@ class VirtualLab:
         slept_s = now_s - max(due_s, self._served_s)  # never back behind what the hosts have seen
         if slept_s > MAX_CATCH_UP_S:
             if not self.stalls:
-                _LOG.warning("the computer stood still for %.1f s, and with it the lab's clock", slept_s)
+                _LOG.warning("the computer was suspended for %.1f s, and with it the lab's clock", slept_s)
             self._start_s += slept_s
             self.stalls += 1
             now_s -= slept_s

@@ -51,7 +51,7 @@ class Streams:
         self._streams = {number: _Stream(number, rate_hz) for number in _SIGNS}
 
     def restart(self, now_s):
-        """The autopilot is new, or back, or began anew: nothing is known."""
+        """The autopilot is new, or back, or restarted: nothing is known."""
         for stream in self._streams.values():
             stream.restart(now_s)
 

@@ -25,7 +25,7 @@ def check(device):
     """Raises ValueError when a text names no device."""
     network = _network(device)
     if network and not 0 < network[1][1] < 65536 or not network and re.match(r"\w+:", device):
-        raise ValueError("device %r is none: give %s" % (device, FORMS))
+        raise ValueError("invalid device %r: use %s" % (device, FORMS))
     if network and network[0] in ("udpin", "udp") and network[2] is None and not _is_loopback(network[1][0]):
         text = "device %r would take the first sender for the vehicle: append :VEHICLE, the address of the vehicle"
         raise ValueError(text % device)
@@ -67,7 +67,7 @@ class Serial:
     def __init__(self, path, baudrate):
         try:
             self._port = serial.Serial(path, baudrate, timeout=0, exclusive=True)
-        except termios.error as error:  # which is no OSError: it was unplugged while it was opened
+        except termios.error as error:  # which is not an OSError: it was unplugged while it was opened
             raise OSError(*error.args) from error
         self.fileno = self._port.fileno
 

@@ -35,7 +35,7 @@ class FrameReader:
         """Bytes, and the time of a monotonic clock -> list of the messages that are complete."""
         rest, messages, start = self._rest, [], 0
         if rest and now_s - self._since_s > PATIENCE_S:
-            start = 1  # what looked like the beginning of a frame was none
+            start = 1  # what looked like the beginning of a frame was not
             self.skipped_bytes += 1
         elif not rest:
             self._since_s = now_s

@@ -167,9 +167,7 @@ class Record:
         if whole and _loaded(whole[0]) == identity:
             for number, line in enumerate(whole[1:], 2):
                 if not (loaded := _loaded(line)):
-                    raise ValueError(
-                        "%s, line %d is damaged: delete it, and its flight is flown again" % (path, number)
-                    )
+                    raise ValueError("%s, line %d is damaged: delete the line to repeat that flight" % (path, number))
                 self._take(loaded)
             self._file.truncate(sum(len(line) + 1 for line in whole))
             self.notice = "going on with the flights in %s: %d" % (path, len(whole) - 1)
@@ -177,7 +175,7 @@ class Record:
         if whole:
             old = path.with_name(FILE + ".old")
             path.replace(old)
-            self.notice = "beginning anew: %s; the flights of before are in %s" % (
+            self.notice = "starting over: %s; the earlier flights are in %s" % (
                 _difference(_loaded(whole[0]), identity), old)  # fmt: skip
             self.close()
             self._open(path)

@@ -254,7 +254,7 @@ def make_script(bag_path, path, vehicles, on_progress=None):
     """Write the faults of a bag as a YAML file. vehicles: those of a flight that it is for, {body: namespace}.
 
     The bag's own are those of the fleet file beside it. Returns (FaultEvents, how many lie outside of the course).
-    Raises ValueError for a bag that is no use.
+    Raises ValueError for a bag without what is needed.
     """
     fleet = fleet_of(bag_path)
     names = [vehicle.template for vehicle in fleet.vehicles] if fleet else list(vehicles)

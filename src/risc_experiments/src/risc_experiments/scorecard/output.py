@@ -65,14 +65,14 @@ def page_values(scorecard):
 
 
 def read(path):
-    """A scorecard from its JSON file. Raises ValueError for what is none, OSError."""
+    """A scorecard from its JSON file. Raises ValueError for any other file, OSError."""
     try:
         scorecard = json.loads(path.read_text(encoding="utf-8"))
         if all(set(KEY) | {"flight_rmse_m", "detect_ms"} <= row.keys() for row in scorecard["rows"]):
             return scorecard
     except (ValueError, TypeError, KeyError, AttributeError):
         pass
-    raise ValueError("%s is no scorecard: give the JSON file of another ./maap scorecard" % path)
+    raise ValueError("%s is not a scorecard: give the JSON file of another ./maap scorecard" % path)
 
 
 def differing_conditions(scorecard, other):

@@ -15,7 +15,7 @@ from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults
 
-NONE, RANDOM = "none", "random"  # faults that are no members: nothing happens; one of all members at random
+NONE, RANDOM = "none", "random"  # faults that are not members: nothing happens; one of all members at random
 GRADES = ("mild", "medium", "severe")
 WHOLE = "-"  # severity of what has no grades
 _ENOUGH_MIN = 0.01
@@ -227,7 +227,7 @@ def severities_of(fault, severities):
 
 
 def is_file(fault):
-    """Whether it is no member's name."""
+    """Whether it is not the name of a member."""
     return pathlib.PurePath(fault).suffix in (".yaml", ".yml")
 
 

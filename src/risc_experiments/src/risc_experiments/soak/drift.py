@@ -53,7 +53,7 @@ class Track:
 
 
 def drift(times_s, values, warm_s):
-    """Drift of values (n,) at times (n,), increasing. What is no number is left out."""
+    """Drift of values (n,) at times (n,), increasing. Non-finite values are left out."""
     known = np.isfinite(values)
     times_s, values = times_s[known], values[known]
     if not len(values):

@@ -150,7 +150,7 @@ def facts(result):
     if latency_ms["p99"]["slope"] is not None:
         told.append(("frame to command, p99, per hour", "%s ms" % slope(latency_ms["p99"])))
     if late_ms is not None:
-        text = "p50 %.1f, p99 %.1f, largest %.1f ms late; stood still %d times, %d frames left out"
+        text = "p50 %.1f, p99 %.1f, largest %.1f ms late; stalled %d times, %d frames left out"
         values = (
             *(late_ms[name] for name in ("p50", "p99", "max")),
             result["lab"]["stalls"],

@@ -176,7 +176,7 @@ class Soak:
         return max(self.warm_s, process.since_s + self.params.warm_up_of(self.duration_s))
 
     def forget(self):
-        """Remove what was written, for another one that begins anew in the same folder."""
+        """Remove what was written, for another one that starts over in the same folder."""
         self.record.close()
         (self.folder / RECORD).unlink()
         shutil.rmtree(self.folder / FLIGHTS)

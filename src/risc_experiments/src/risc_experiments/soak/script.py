@@ -43,7 +43,7 @@ class Deck(NamedTuple):
 def deck_of(wanted, params, card):
     """Deck of the faults that are wanted: (), of all that a flight can end safely with.
 
-    params: SoakParams.  card: ScorecardParams.  Raises ValueError for a name that is none.
+    params: SoakParams.  card: ScorecardParams.  Raises ValueError for an unknown name.
     """
     programs = params.programs
     known = [*plan.members(card), *OF_PROGRAMS]

@@ -10,7 +10,7 @@ HEAD = ("fault", "events", "reactions", "p50 [ms]", "p99 [ms]", "max [ms]", "out
 
 
 def read(folder):
-    """Faults of a soak's folder, as its flights' `faults`. Raises ValueError when it is none, OSError."""
+    """Faults of a soak's folder, as its flights' `faults`. Raises ValueError when it is not such a folder, OSError."""
     faults = []
     path = folder / RECORD
     with path.open(encoding="utf-8") as lines:
@@ -19,7 +19,7 @@ def read(folder):
                 entry = json.loads(line)
             except ValueError:
                 if line.endswith("\n"):  # else a line that was not finished when the power failed
-                    raise ValueError("%s, line %d: this is no line of a soak" % (path, number)) from None
+                    raise ValueError("%s, line %d: not a line of a soak" % (path, number)) from None
                 break
             if entry["kind"] == "fault":
                 faults.append(entry)

@@ -223,7 +223,7 @@ def _number(text, value):
     try:
         return float(value)
     except ValueError:
-        raise ValueError("fault '%s': '%s' is no number: write %s" % (text, value, _FORM)) from None
+        raise ValueError("fault '%s': '%s' is not a number: write %s" % (text, value, _FORM)) from None
 
 
 @dataclass(frozen=True)

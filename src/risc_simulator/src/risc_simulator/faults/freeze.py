@@ -1,4 +1,4 @@
-"""The picture of a body stands still while frames go on; where no vehicle is named, the whole picture."""
+"""The picture of a body freezes while frames go on; where no vehicle is named, the whole picture."""
 
 from risc_simulator.faults._frames import rows_of
 

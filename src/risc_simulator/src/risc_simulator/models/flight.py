@@ -131,7 +131,7 @@ class Firmware:
         self.set_battery_pct(pct, time_s)
 
     def power_cycle(self, time_s):
-        """It stands: it gets a full battery, and begins anew as one that has just been switched on."""
+        """It stands: it gets a full battery, and starts over as if just switched on."""
         self.phase, self.motors_on, self.lifted = FlightPhase.LANDED, False, False
         self.command, self.wake_s = (0.0, 0.0, 0.0, 0.0), math.inf
         self.set_battery_pct(100.0, time_s)

@@ -98,7 +98,7 @@ class MocapCameras:
         """Observation at time_s [s] of bodies with exact markers.
 
         layout: ((body name, number of markers), ...). exact_m: (n, 3) markers of all bodies in this order [m].
-        Times must not decrease. A change of the layout starts the occlusions anew.
+        Times must not decrease. A change of the layout restarts the occlusions.
         """
         if layout is not self._layout and layout != self._layout:
             self._layout = layout

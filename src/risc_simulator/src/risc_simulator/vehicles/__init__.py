@@ -17,7 +17,7 @@ and, if in offline flights its driver is another one than that of models/offline
     OfflineLink (vehicle, phase), with the names that are there
 and, if a fault is to freeze what it says of itself (navdata_freeze),
     repeated    (told, datagram) -> datagram with the content of the first one of its kind, which told, a dict, keeps;
-                fresh sequence number, check sum that fits. What is no report of this type is returned as it is
+                fresh sequence number, check sum that fits. Anything else is returned as it is
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
 virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """

@@ -23,7 +23,7 @@ def _item(waypoint, name, options):
     if kind in _WITH_ALTITUDE and not least <= waypoint.altitude <= most:
         raise ValueError("%s: altitude %d mm is not within %d .. %d mm" % (name, waypoint.altitude, least, most))
     if kind in _WITH_PLACE and (abs(waypoint.latitude) > _MOST_LATITUDE or abs(waypoint.longitude) > _MOST_LONGITUDE):
-        text = "%s: latitude %d, longitude %d are no place on earth, in 1e-7 deg"
+        text = "%s: latitude %d, longitude %d are out of range, in 1e-7 deg"
         raise ValueError(text % (name, waypoint.latitude, waypoint.longitude))
     if kind == Waypoint.TYPE_NAV:
         return Item(
@@ -41,4 +41,4 @@ def _item(waypoint, name, options):
         return Item(mavlink.MAV_CMD_CONDITION_CHANGE_ALT, altitude_m=altitude_m)
     if kind == Waypoint.TYPE_TAKEOFF:
         return Item(mavlink.MAV_CMD_NAV_TAKEOFF, altitude_m=altitude_m)
-    raise ValueError("%s: its type %d is none of the constants of roscopter/Waypoint" % (name, kind))
+    raise ValueError("%s: its type %d is not a constant of roscopter/Waypoint" % (name, kind))

@@ -193,7 +193,7 @@ class Bridge:
             altitude_m = options.launch_altitude / 1000.0
             steps = [set_mode("GUIDED"), orders.Arm(True, arm_s), orders.take_off(altitude_m, launch_s)]
             return orders.Sequence("launch", steps)
-        raise ValueError("it is none of the constants of roscopter/APMCommand")
+        raise ValueError("it is not a constant of roscopter/APMCommand")
 
     def _on_waypoints(self, waypoints):
         try:

@@ -37,7 +37,7 @@ class Frame(NamedTuple):
 def repeated(told, packet):
     """A packet of navdata with the content of the first one of its length, which `told` (a dict) keeps.
 
-    The sequence number stays, the check sum fits. What is no navdata stays as it is.
+    The sequence number stays, the check sum fits. Anything else stays as it is.
     """
     try:
         header = peek(packet)

@@ -1,4 +1,4 @@
-"""The virtual Pixhawk's MAVLink: system and component of one autopilot, for whoever talks to it.
+"""The virtual Pixhawk's MAVLink: system and component of one autopilot, for any station that talks to it.
 
 Each address that has sent a valid frame is a client: it is answered in the version that it speaks, and has stream
 rates of its own, which it asks for (REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL); until then it gets heartbeats and
@@ -213,7 +213,7 @@ class Mavlink:
         messages, foreign = client.decode(data) if len(data) <= MAX_DATAGRAM_BYTES else ([], len(data))
         if foreign:
             self.counts["foreign_bytes"] += foreign
-            self.notices.complaint("sends what is no MAVLink", sender, "%d bytes" % foreign)
+            self.notices.complaint("sends bytes that are not MAVLink", sender, "%d bytes" % foreign)
         if not messages:
             return
         if sender not in self.clients and not self._welcome(client):
@@ -279,7 +279,7 @@ class Mavlink:
                 self._go_on_with_parameters(client)
 
     def power_cycle(self):
-        """Begin anew, and know nobody."""
+        """Start over, and forget all stations."""
         self.clients.clear()
         self._station_s, self._station_lost = None, False
 
