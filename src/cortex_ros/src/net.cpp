@@ -21,7 +21,7 @@ using boost::asio::ip::udp;
 using boost::system::error_code;
 
 constexpr int kReceiveBufferBytes = 1 << 20;   // as the original client: about two seconds of frames
-constexpr std::uint32_t kSample = 1024;        // of strangers' datagrams one in so many comes through
+constexpr std::uint32_t kSample = 1024;        // of strangers' datagrams one in this many gets through
 constexpr std::size_t kDatagramSpace = 65536;  // larger than any datagram, so MSG_TRUNC means a fault
 
 void check(const error_code& error, const std::string& what) {
@@ -72,7 +72,7 @@ Address resolve(const std::string& name) {
   error_code error;
   if (name.find_first_not_of("0123456789.") == std::string::npos) {  // the resolver takes 10.1 for 10.0.0.1
     const Address address = boost::asio::ip::make_address_v4(name, error);
-    check(error, "'" + name + "' is no dotted quad");
+    check(error, "'" + name + "' is not a dotted quad");
     return address;
   }
   boost::asio::io_context context;

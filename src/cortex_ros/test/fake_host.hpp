@@ -105,7 +105,7 @@ class FakeHost {
   }
   bool could_send() const { return sent_; }
 
-  // A packet that nobody asked for, from the command port to the last client that was heard.
+  // An unsolicited packet, from the command port to the last client that was heard.
   void volunteer(const cortex_ros::Packet& packet) {
     cortex_ros::Endpoint client;
     {

@@ -126,7 +126,7 @@ class StreamMarkersTest(unittest.TestCase):
     def setUp(self):
         process = os.getpid()
         self.address = "127.%d.%d.9" % (200 + process % 50, process // 50 % 250)
-        self.stream_port = free_tcp_port()  # of UDP, but Linux gives it to nobody either
+        self.stream_port = free_tcp_port()  # of UDP, but Linux gives it to no other program either
         self.host = Host(self.address, self.stream_port)
         self.host.start()
         self.node = None
@@ -220,7 +220,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertIn(b"Pause", self.host.heard)
 
     def test_waits_for_its_own_address(self):
-        self.start_node(local_address="192.0.2.77")  # for documentation only: nobody has it
+        self.start_node(local_address="192.0.2.77")  # for documentation only: no computer has it
         status = self.status(DiagnosticStatus.ERROR)
         self.assertIn("cannot bind UDP 192.0.2.77", status.message)
         self.assertIsNone(self.node.poll())

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Bag to CSV: one file a topic. Needs no ROS master."""
+"""Bag to CSV: one file per topic. Needs no ROS master."""
 
 import sys
 

@@ -15,8 +15,8 @@ from risc_lab.settings import settings_from
 OPTIONS = {  # -> the setting, and what it is
     "--order": ("order", "of the polynomial"),
     "--window": ("window_s", "[s] over which throttle and acceleration are averaged"),
-    "--min-height": ("min_height_m", "[m] lower, it may stand"),
-    "--max-speed": ("max_speed_m_s", "[m/s] faster, it does not count"),
+    "--min-height": ("min_height_m", "[m] lower, it may be on the ground"),
+    "--max-speed": ("max_speed_m_s", "[m/s] faster, it is left out"),
     "--max-climb": ("max_climb_m_s", "[m/s] the same, up or down"),
     "--max-acceleration": ("max_acceleration_m_s2", "[m/s^2] the same, up or down"),
 }
@@ -70,7 +70,7 @@ def text_of(name, fit, kind, shipped):
         off = fit.scaled(points.pct) - np.polynomial.polynomial.polyval(points.pct, shipped)
         worst = np.abs(off).argmax()
         lines.append("  from the curve of type '%s': up to %+.4f, at %.0f %%" % (kind, off[worst], points.pct[worst]))
-    lines.append("  outside of these percents the curve is a guess")
+    lines.append("  outside this range of charge the curve is a guess")
     return "\n".join(lines)
 
 

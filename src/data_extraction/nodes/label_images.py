@@ -39,7 +39,7 @@ def main():
         progress.clear()
         print("%d pictures, %d labels  %s" % (pictures, labels, path))
         if without_pose:
-            print("%d pictures left out: motion capture did not see their vehicle just then" % without_pose)
+            print("%d pictures left out: motion capture did not see their vehicle at that time" % without_pose)
 
     return run("label_images", work)
 

@@ -234,7 +234,7 @@ class BagFile {
 
   void cut_off_at_end() {
     if (::ftruncate(file_, static_cast<off_t>(end_)) != 0) {
-      return;  // what stays behind the end is in nobody's way, but for the room that it takes
+      return;  // what stays behind the end does no harm, except for the room that it takes
     }
   }
 

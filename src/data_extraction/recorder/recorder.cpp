@@ -39,7 +39,7 @@ namespace data_extraction {
 namespace {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;          // nobody sets it
+using Clock = std::chrono::steady_clock;          // it is never set
 using Header = boost::shared_ptr<ros::M_string>;  // of a connection, by which its messages know it
 
 constexpr std::size_t kMegabyte = 1u << 20;
@@ -65,7 +65,7 @@ std::string time_text(std::time_t time) {
   return text;
 }
 
-// 0 for what is no number.
+// 0 for what is not a number.
 double number_of(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
@@ -86,7 +86,7 @@ std::string why_no_pattern(const std::string& text) try {
   std::regex{text};
   return "";
 } catch (const std::regex_error& error) {
-  return "'" + text + "' is no regular expression: " + error.what();
+  return "'" + text + "' is not a regular expression: " + error.what();
 }
 
 // Throws CLI::Error; app knows the help afterwards.
@@ -97,11 +97,11 @@ Options parse(CLI::App& app, const std::vector<std::string>& arguments) {
   std::vector<std::string> limits, patterns;
   CLI::App* name = app.add_option_group("name")->require_option(1);
   name->add_option("-O", file, "write this bag; .bag is appended where it is missing");
-  name->add_option("-o", prefix, "write a bag whose name begins so and holds the time");
-  app.add_option("-b", most_mb, "[MB] may wait for a slow disk; what comes then is not recorded")
+  name->add_option("-o", prefix, "write a bag whose name begins so, followed by the time");
+  app.add_option("-b", most_mb, "[MB] may wait for a slow disk; what exceeds it is not recorded")
       ->check(why_no_size)
       ->capture_default_str();
-  app.add_option("-l", limits, "TOPIC=HZ: of this topic write at most so many messages a second")
+  app.add_option("-l", limits, "TOPIC=HZ: of this topic write at most HZ messages a second")
       ->check(why_no_limit)
       ->allow_extra_args(false);
   app.add_option("REGEX", patterns, "topics whose whole name matches one of these are recorded")

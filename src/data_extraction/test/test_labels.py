@@ -202,7 +202,7 @@ def test_what_a_bag_lacks_is_said(tmp_path):
     assert "record camera_info" in refused(tmp_path, leave_out=("/risc1/ardrone/camera_info",))
     assert "/risc9/image" in refused(tmp_path, topics=["/risc9/image"])
     assert "risc_msgs/msg/Cortex" in refused(tmp_path, topics=["/cortex_raw"])
-    assert "Are the stamps" in refused(tmp_path, params=LabelParams(delay_s=100.0))
+    assert "Are both stamped by the same clock" in refused(tmp_path, params=LabelParams(delay_s=100.0))
 
 
 def test_a_camera_of_a_vehicle_that_nobody_knows_is_said(tmp_path):

@@ -23,7 +23,7 @@ from risc_lab.ros.launching import free_tcp_port
 
 HERE = pathlib.Path(__file__).resolve().parent
 RECORDER = str(HERE.parents[2] / "devel/lib/data_extraction/recorder")
-WITH_SIGNALS = ("env", "--default-signal=INT,HUP")  # whoever runs the tests in the background may ignore them
+WITH_SIGNALS = ("env", "--default-signal=INT,HUP")  # tests in the background may ignore them
 STRING = "std_msgs/String"
 BYTES = "std_msgs/UInt8MultiArray"
 PATIENCE_S = 60.0  # far more than anything here takes

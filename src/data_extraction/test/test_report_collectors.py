@@ -20,6 +20,7 @@ from data_extraction.bags import Bag, BagError, _ChunkReader
 from data_extraction.camera_topics import one_topic_each
 from data_extraction.progress import bar
 from data_extraction.report.battery import BatteryCollector
+from data_extraction.report.collector import ReportCollector
 from data_extraction.report.computers import Computer, ComputerCollector
 from data_extraction.report.drops import CELL_M, DropCollector, cell_edges
 from data_extraction.report.events import EventCollector, head_and_tail
@@ -31,6 +32,7 @@ from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector
 from data_extraction.samples import Arrivals, Samples
 from risc_control.safety import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits, fence_of
+from risc_lab.lab import load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase
@@ -97,7 +99,7 @@ def test_markers_are_lost_where_their_object_was(play):
     drops = play(DropCollector(), rows).result(T0_S + 0.015)
     raven = drops.markers["Raven"]
     assert (raven.markers, raven.lost, raven.frames, raven.blind_frames) == (8, 3, 4, 1)
-    assert drops.markers_lost == 4 and drops.unplaced == 1, "nobody knows where Kahn was"
+    assert drops.markers_lost == 4 and drops.unplaced == 1, "where Kahn was is unknown"
     edges_x, edges_y = cell_edges(Arena())
     cell = (np.searchsorted(edges_x, 1.1) - 1, np.searchsorted(edges_y, 0.6) - 1)
     assert (drops.lost_map[cell], drops.seen_map[cell]) == (3, 3)
@@ -159,14 +161,17 @@ def test_without_motion_capture_there_is_nothing_to_lose():
     assert DropCollector().result(T0_S) is None
 
 
-def moving(t_s, x=0.0, u=0.0, y=0.0, z=1.0):
-    return "/cortex_raw", Cortex(Obj=[States(name="Raven", visible=True, x=x, y=y, z=z, u=u)]), t_s
+def moving(t_s, x=0.0, u=0.0, y=0.0, z=1.0, name="Raven"):
+    return "/cortex_raw", Cortex(Obj=[States(name=name, visible=True, x=x, y=y, z=z, u=u)]), t_s
+
+
+ARDRONE = {"Raven": load_vehicle_type("ardrone")}
 
 
 def test_the_fence_margin_is_the_nearest_side_now_and_where_it_stops(play):
     rows = [moving(T0_S, x=0.5), moving(T0_S + 0.03, x=1.0, u=2.0), moving(T0_S + 1.0, y=-1.8), moving(T0_S + 2.0)]
-    raven = play(FenceCollector(), rows).result(0.0)["Raven"]
-    assert raven.fence.limits == SafetyLimits()
+    raven = play(FenceCollector(types=ARDRONE), rows).result(0.0)["Raven"]
+    assert raven.fence.limits == SafetyLimits() and raven.type_known
     assert raven.least_m == pytest.approx(NET_HALF_Y_M - 1.8)
     assert raven.least_place_m == pytest.approx((0.0, -1.8, 1.0))
     assert raven.least_s == pytest.approx(T0_S + 1.0, abs=1e-6)
@@ -199,6 +204,44 @@ def test_the_fence_is_that_of_the_flights_parameters(play):
     fences = Origin(parameters=parameters, fleet=fleet).fences()
     limits = {name: fence.limits for name, fence in fences.items()}
     assert limits == {"Raven": SafetyLimits(joystick_timeout=0.7, **fence_of(fleet.arena))}
+
+
+def fence_limits(folder, rows):
+    """{vehicle: limit [m] of its distance from the net, None when its type is unknown} that a report has."""
+    with rosbag.Bag(str(folder / "flight.bag"), "w") as bag:
+        for topic, message, t_s in rows:
+            bag.write(topic, message, rospy.Time.from_sec(t_s))
+    with Bag(folder / "flight.bag") as bag:
+        collector = ReportCollector(bag, read_beside(folder / "flight.bag"))
+        for message in bag.messages(collector.wanted):
+            collector(*message)
+        margins = collector.material().margins
+    return {name: item.fence.margin_m if item.type_known else None for name, item in margins.items()}
+
+
+def test_without_a_fleet_the_fence_is_that_of_the_type_that_the_bag_tells(tmp_path):
+    """An IRIS+ reaches 0.15 m farther than an AR.Drone."""
+    ardrone_m = SafetyLimits().fence_margin_m
+    rows = [moving(T0_S + k, name=name) for k, name in enumerate(("Raven", "IRIS", "Big", "Small", "Ghost"))]
+    rows += [
+        ("/big/apm/state", State(mode="STABILIZE"), T0_S),
+        ("/big/node_status", VehicleNodeStatus(name="Big"), T0_S + 0.1),
+        ("/small/ardrone/takeoff", Empty(), T0_S),
+        ("/small/vehicle_status", VehicleStatus(name="Small"), T0_S + 0.1),
+        ("/ghost/vehicle_status", VehicleStatus(name="Ghost"), T0_S + 0.1),
+    ]
+    assert fence_limits(tmp_path, rows) == pytest.approx(
+        {"Raven": ardrone_m, "IRIS": ardrone_m + 0.15, "Big": ardrone_m + 0.15, "Small": ardrone_m, "Ghost": None}
+    )
+
+
+def test_without_a_fleet_file_the_fence_is_that_of_the_fleet_in_the_parameters(tmp_path):
+    vehicle = {"namespace": "iris1", "template": "Ghost", "type": "iris", "address": "127.0.0.1"}
+    vehicle["start"] = {"position_m": [0, 0, 0]}
+    fleet = {"name": "one", "mocap": {"host": "127.0.0.1"}, "vehicles": [vehicle]}
+    (tmp_path / "parameters.yaml").write_text(yaml.safe_dump({"fleet": fleet}))
+    limits = fence_limits(tmp_path, [moving(T0_S, name="Ghost")])
+    assert limits == {"Ghost": pytest.approx(SafetyLimits().fence_margin_m + 0.15)}
 
 
 def safety(level, rule, reason):
@@ -456,7 +499,7 @@ def test_what_lies_beside_a_bag_is_read(tmp_path):
 )
 def test_a_file_that_cannot_be_read_is_named(tmp_path, name, text):
     (tmp_path / name).write_text(text)
-    with pytest.raises(ValueError, match=name + ".*mend it or move it away"):
+    with pytest.raises(ValueError, match=name + ".*fix it or move it away"):
         read_beside(tmp_path / "flight.bag")
 
 

@@ -312,7 +312,7 @@ def test_a_bag_of_the_original_release_is_matched_by_place(tmp_path):
     page = read(tmp_path / "out" / "report.html")
     assert "tracking" in page.ids and "/trajectory names courses, not vehicles (Circle)" in page.text.replace("T", "/t")
     assert next(row for row in page.rows if row[:1] == ["fluffy_II"])[-1] == "20.0\u202fms", "lag: both on one clock"
-    assert "bears no stamps: times are those of receipt" in page.text
+    assert "has no stamps: times are those of receipt" in page.text
     assert "all of the time with a reference was judged" in page.text
     assert ["fluffy_II", "1000", "10", "0.50\u202f%", "0"] in page.rows
 
@@ -367,6 +367,17 @@ def test_numbers_that_are_none_stop_no_report(tmp_path, topic, begin_s):
     page = read(tmp_path / "report.html")
     assert {"result", "map", "tracking", "fence", "bearings"} <= set(page.ids)
     assert "nan" not in page.text.lower().split()
+
+
+def test_the_fence_of_a_vehicle_of_unknown_type_has_no_limit(tmp_path):
+    rows = [row for row in full_rows(20) if row[1] == "/cortex_raw"]
+    for _, _, message in rows:
+        message.Obj[0].name = "Ghost"
+    write_bag(tmp_path / "ghost.bag", rows)
+    make(tmp_path / "ghost.bag", folder=tmp_path)
+    of_fence = {row[0]: row[-2:] for row in read(tmp_path / "report.html").rows if len(row) == 6}
+    assert of_fence["Ghost"] == ["type unknown"] * 2
+    assert all(cell.endswith(" m") for cell in of_fence["albatross"])
 
 
 def test_what_was_not_judged_is_not_said_to_be(tmp_path):

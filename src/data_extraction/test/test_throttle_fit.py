@@ -107,7 +107,7 @@ def test_what_is_no_hover_counts_not():
         (states, throttle, untold),
     ):
         assert hover_points(*told, FitParams()).seconds.sum() == pytest.approx(everything.seconds.sum() / 2.0, abs=8.0)
-    unseen = np.delete(states, slice(half, None, 20), axis=0)  # a frame now and then is no loss
+    unseen = np.delete(states, slice(half, None, 20), axis=0)  # a frame now and then does not count as lost
     assert hover_points(unseen, throttle, battery, FitParams()).seconds.sum() == everything.seconds.sum()
 
 
@@ -171,7 +171,7 @@ def test_bags_of_the_original_have_no_namespace(tmp_path):
         ({"without": ("/iris1/controls",)}, "no NAMESPACE/controls .*record.launch"),
         ({"without": ("/iris1/vehicle_status",)}, "no NAMESPACE/vehicle_status"),
         ({"own": "/controls"}, "no NAMESPACE/controls"),  # what a controller wants is not what an IRIS+ was sent
-        ({"charge": "/risc1/vehicle_status"}, "no vehicle has told a charge"),
+        ({"charge": "/risc1/vehicle_status"}, "no vehicle has reported its battery level"),
     ],
 )
 def test_a_bag_that_lacks_something_says_what(tmp_path, options, message):
@@ -186,12 +186,12 @@ def test_a_flight_that_says_too_little_says_why(tmp_path, monkeypatch, capsys):
     with pytest.raises(ValueError, match="from 100 to 92 %.*9 steps.*order 4 needs 20 percent.*--order"):
         fit_bag(bag)
     assert len(fit_bag(bag, params=FitParams(order=1))[1].coefficients) == 2
-    with pytest.raises(ValueError, match="no second in which IRIS was seen higher than 2 m"):
+    with pytest.raises(ValueError, match="in no second was IRIS seen higher than 2 m"):
         fit_bag(bag, params=FitParams(min_height_m=2.0))
     with pytest.raises(ValueError, match="no vehicle 'risc1'; flown by throttle: IRIS .iris1."):
         fit_bag(bag, "risc1")
     untold = write(tmp_path / "untold.bag", (*data[:2], [(t_s, math.nan) for t_s, _ in data[2]]))
-    with pytest.raises(ValueError, match="no vehicle has told a charge.*BATT_MONITOR"):
+    with pytest.raises(ValueError, match="no vehicle has reported its battery level.*BATT_MONITOR"):
         fit_bag(untold)
     for arguments, text in (([bag, "--order", 12], "'order' must be"), ([tmp_path / "none.bag"], "no such file")):
         monkeypatch.setattr(sys, "argv", [str(NODE), *map(str, arguments)])

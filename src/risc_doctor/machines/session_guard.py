@@ -7,8 +7,8 @@ nodes running for ever when it cannot reach the base station.
 
 Before that it looks for what another launch has left on this host. A launch is known by the XML-RPC server of its
 parent, the roslaunch of the base station (`-u`; the `--run_id` is the master's and may be equal for two launches). If
-that parent is gone, its processes are ended first; if it answers, we do not start: two drivers of one vehicle must not
-be. RISC_MAAP_ALLOW_SECOND=1 allows it, for launches that share no vehicle.
+that parent is gone, its processes are ended first; if it answers, we do not start: there must
+not be two drivers of one vehicle. RISC_MAAP_ALLOW_SECOND=1 allows it, for launches that share no vehicle.
 """
 
 import argparse

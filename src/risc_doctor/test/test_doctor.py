@@ -89,9 +89,9 @@ def test_a_laptop_in_both_networks_is_well():
 
 def test_what_is_wrong_with_the_network_is_named():
     nowhere = network.judge(LAB, [LO, WIFI], False, lambda address: None)
-    assert "no way to the Cortex host 129.123.5.10" in text_of(nowhere, RED)
+    assert "no route to the Cortex host 129.123.5.10" in text_of(nowhere, RED)
     routed = network.judge(LAB, [LO, WIFI], False, lambda address: "192.168.1.2")
-    assert worst(routed) == YELLOW and "by a router" in text_of(routed, YELLOW)
+    assert worst(routed) == YELLOW and "through a router" in text_of(routed, YELLOW)
     unplugged = network.judge(LAB, [LO, replace(CABLE, connected=False)], False, lambda address: None)
     assert "eth0 has an address, but no cable" in text_of(unplugged, YELLOW)
     assert "ip link set lo up" in text_of(network.judge(LAB, [CABLE, WIFI], False, lambda address: None), RED)
@@ -115,9 +115,9 @@ def test_vehicles_of_one_network_must_be_reachable():
     vehicles = tuple(replace(vehicle, address="192.168.1.%d" % k) for k, vehicle in enumerate(LAB.vehicles, 1))
     shared = replace(LAB, own_networks=False, vehicles=vehicles)
     findings = network.judge(shared, [LO, CABLE], False, lambda address: None)
-    assert "no way to vehicle 192.168.1.1" in text_of(findings, RED)
+    assert "no route to vehicle 192.168.1.1" in text_of(findings, RED)
     routed = text_of(network.judge(shared, [LO, CABLE], False, lambda address: "129.123.5.240"), YELLOW)
-    assert "vehicle 192.168.1.1 is in none" in routed and "join the vehicle's Wi-Fi" in routed
+    assert "vehicle 192.168.1.1 is not in any" in routed and "join the vehicle's Wi-Fi" in routed
     assert "multicast" not in routed, "nothing of a vehicle is multicast"
 
 
@@ -128,7 +128,7 @@ def test_multicast_that_the_kernel_would_drop(monkeypatch):
     assert "rp_filter=2" in text_of(wrong_card, YELLOW)
     assert levels(network.judge_multicast(LAB.mocap, own, replace(CABLE, multicast=False), "", {})) == [RED]
     assert network.join_error("225.1.1.1", "127.0.0.1") == ""
-    assert network.join_error("225.1.1.1", "203.0.113.7")  # an address that nobody has
+    assert network.join_error("225.1.1.1", "203.0.113.7")  # an address that no computer has
     monkeypatch.setattr(network.net, "source_towards", lambda address: None)
     lost = network.check_multicast(types.SimpleNamespace(fleet=LAB, interfaces=lambda: [LO]))
     assert "give this computer an address in that network" in text_of(lost, RED)
@@ -174,7 +174,7 @@ def test_a_port_is_shared_or_taken_and_its_owner_is_named():
 
 @contextlib.contextmanager
 def without_privileges():
-    """Effectively somebody who may nothing, as far as this is root."""
+    """Without any rights, where this is root."""
     before = os.geteuid()
     if before == 0:
         os.seteuid(65534)
@@ -188,7 +188,7 @@ def test_the_folder_of_bags_is_made_by_the_recorder(tmp_path):
     situation = types.SimpleNamespace(bag_folder=tmp_path / "flights", fleet=LAB, master=None)
     assert worst(disk.check(situation)) != RED
     situation.bag_folder = tmp_path / "no" / "such"
-    assert "there is no folder" in text_of(disk.check(situation), RED)
+    assert "does not exist" in text_of(disk.check(situation), RED)
 
 
 def test_what_only_root_may_is_told(tmp_path):
@@ -315,7 +315,7 @@ def test_bodies_that_cannot_be_judged_say_why():
     other = seen_as()
     for frame in other["fluffy_II"]:
         frame[[0, 3]] = frame[[3, 0]]
-    assert "order of markers" in text_of(axes.judge_poses(VIRTUAL, TEMPLATES, other), YELLOW)
+    assert "in the order of" in text_of(axes.judge_poses(VIRTUAL, TEMPLATES, other), YELLOW)
 
 
 def moved(matrix, metres=0.5, noise_m=0.002):
@@ -332,7 +332,7 @@ def turned_by(degrees):
 
 def test_moves_that_are_seen_as_they_were():
     assert levels(axes.judge_moves(moved(np.eye(3)))) == [GREEN] * 3
-    assert levels(axes.judge_moves(moved(turned_by(5)))) == [GREEN] * 3, "nobody walks straighter"
+    assert levels(axes.judge_moves(moved(turned_by(5)))) == [GREEN] * 3, "people do not walk straighter"
 
 
 @pytest.mark.parametrize(
@@ -416,7 +416,7 @@ def test_in_a_flight_the_base_station_knows_the_vehicles_by_their_drivers():
         interfaces=lambda: [CABLE],
     )
     findings = vehicles.check(situation)
-    assert "risc1 (192.168.1.1) answers (by its driver, flies), battery 80 %" in text_of(findings, GREEN)
+    assert "risc1 (192.168.1.1) answers (by its driver, flying), battery 80 %" in text_of(findings, GREEN)
     assert "risc3 (192.168.1.1): its driver runs, but no telemetry" in text_of(findings, RED)
     assert "no driver of the graph listens to risc2" in text_of(findings, YELLOW) and len(findings) == 3
 
@@ -443,7 +443,7 @@ def test_joysticks(monkeypatch, tmp_path):
     short = joystick.judge("js0", "Pad", 10, 8, needed)
     assert short.level == RED and "button 10" in short.text
     assert "not there" in joystick.look(str(tmp_path / "js0"), needed).text
-    assert "no joystick" in joystick.look("/dev/null", needed).text
+    assert "not a joystick" in joystick.look("/dev/null", needed).text
     monkeypatch.setattr(joystick, "_PATTERN", str(tmp_path / "js*"))
     none = [joystick.check(Situation(fleet, "", ROOT, {})) for fleet in (VIRTUAL, LAB)]
     assert list(map(levels, none)) == [[GREEN], [YELLOW]]
@@ -601,11 +601,11 @@ def test_a_web_server_is_no_master():
             self.wfile.write(b"<html><br>hello</html>")
 
         def log_message(self, *words):
-            """Nothing: nobody reads it."""
+            """Nothing: it is not read."""
 
     with http.server.HTTPServer(("127.0.0.1", 0), Page) as server:
         threading.Thread(target=server.handle_request, daemon=True).start()
-        with pytest.raises(MasterError, match="no ROS program"):
+        with pytest.raises(MasterError, match="not a ROS program"):
             call("http://127.0.0.1:%d" % server.server_address[1], "getPid")
 
 
@@ -707,7 +707,7 @@ def test_maap_builds_nothing_before_the_doctor_looks(tmp_path):
 
 @pytest.mark.parametrize(("package", "cure"), [("no-such-package", "setup"), ("dpkg", "build")])
 def test_a_doctor_that_cannot_run_names_the_cure(package, cure, tmp_path):
-    """`machines deploy` brings the workspace to a laptop before somebody installs its packages there."""
+    """`machines deploy` brings the workspace to a laptop before its packages are installed there."""
     (tmp_path / "apt-packages.txt").write_text(package + "\n")
     done = doctor_of_shell(tmp_path, "echo line; echo Traceback >&2; echo 'No module named psutil' >&2; exit 1")
     complaint = "maap: the doctor cannot run here (No module named psutil): run ./maap %s\n" % cure

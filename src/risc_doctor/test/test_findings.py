@@ -31,7 +31,7 @@ SOURCES = sorted((pathlib.Path(__file__).resolve().parents[1] / "src").rglob("*.
 MIXED = [
     Finding("network", GREEN, "eth0 has 10.0.0.1/24"),
     Finding(
-        "clock", YELLOW, "nothing keeps this clock right", "sudo apt-get install chrony", {"offset_s": float("nan")}
+        "clock", YELLOW, "nothing synchronises this clock", "sudo apt-get install chrony", {"offset_s": float("nan")}
     ),
     Finding("cortex", RED, "129.123.5.10 does not answer on port 1510", "switch the Cortex computer on"),
 ]
@@ -70,7 +70,7 @@ def test_the_table_is_aligned_with_the_cure_below(capsys):
     print_findings(MIXED)
     assert capsys.readouterr().out.splitlines() == [
         "green   network  eth0 has 10.0.0.1/24",
-        "yellow  clock    nothing keeps this clock right",
+        "yellow  clock    nothing synchronises this clock",
         "                 > sudo apt-get install chrony",
         "red     cortex   129.123.5.10 does not answer on port 1510",
         "                 > switch the Cortex computer on",
@@ -129,7 +129,7 @@ def test_what_is_said_is_in_the_catalogue_and_has_its_values():
         for part in ast.walk(ast.parse(path.read_text()))
         if isinstance(part, ast.Constant)
     } | set(CODES.values())
-    assert [code for code in entries if code not in texts] == [], "nobody says these"
+    assert [code for code in entries if code not in texts] == [], "no program says these"
     for entry in entries.values():
         (level,) = set(entry) & set(LEVELS)
         assert set(entry) <= {level, "cure", "data"} and (level == GREEN or entry["cure"])

@@ -94,7 +94,7 @@ class Server:
             private, self.host_keys[kind] = host_key(kind)
             for path in (private, private.with_suffix(".pub")):
                 shutil.copy(path, folder)
-        self.home = folder / "home"  # of whoever calls ./maap machines
+        self.home = folder / "home"  # of the user who calls ./maap machines
         (self.home / ".ssh").mkdir(parents=True, mode=0o700)
         self.known_hosts = self.home / ".ssh" / "known_hosts"
         self.authorized = folder / "authorized_keys"
@@ -139,7 +139,7 @@ class Server:
         self._reservation.close()
 
     def restarts(self):
-        """How often it has read its settings anew, and listens again."""
+        """How often it has read its settings again, and listens again."""
         return (self.folder / "sshd.log").read_text().count("Server listening on") // len(self.addresses) - 1
 
     def wait_for_restart(self, number):
@@ -182,7 +182,7 @@ class Server:
         return path
 
     def environment(self, root=ROOT, **variables):
-        """{name: value} of whoever calls ./maap machines; None = not set."""
+        """{name: value} of the user who calls ./maap machines; None = not set."""
         unset = dict.fromkeys(("ROS_IP", "ROS_HOSTNAME", "SSH_AUTH_SOCK", "ROSLAUNCH_SSH_UNKNOWN"))
         return {**unset, "HOME": str(self.home), "LOGNAME": CALLER, "RISC_MAAP_ROOT": str(root), **variables}
 
@@ -321,7 +321,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
     assert list(found)[1:-1] == re.findall(r'machine name="(\w+)"', file.read_text())
     for name, texts in {
         "closed": ["red network", "port 9 refuses the connection", "> on that computer: sudo apt install openssh"],
-        "mute": ["red network", "speaks no ssh"],
+        "mute": ["red network", "is not an ssh server"],
         "nowhere": ["red network no-such-name.invalid: this name cannot be resolved", "/etc/hosts"],
         "unknown": ["red host key known_hosts has this key for risc2, but the launch file says 127"],
         "bracketed": ["red host key", "but roslaunch looks for %s without" % server.addresses[2]],
@@ -336,7 +336,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
             "yellow env-loader", "roslaunch waits 0.01 s",
             "red workspace another workspace there", "launch/strange.launch",
             "nothing flows from wrong to here: nodes there say that they are at 255.255.255.255", "a wrong ROS_IP",
-            "red clock", "ms ahead of this computer's", "the failsafe takes states older", "green disk",
+            "red clock", "ms ahead of this computer's", "the failsafe treats states older", "green disk",
         ],
         "stubborn": [
             "green workspace", "red topics its env-loader sets ROS_MASTER_URI to http://127.0.0.1:9",
@@ -363,7 +363,7 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
         server.known_hosts.write_text("# ours\n" + server.know(0) + server.know(1))
         run("ssh-keygen", "-q", "-H", "-f", str(server.known_hosts), stderr=subprocess.DEVNULL)
         server.known_hosts.write_text(server.known_hosts.read_text() + "junk\n")
-        root = tmp_path / "ws"  # the real programs, but files that nobody changes
+        root = tmp_path / "ws"  # the real programs, but files that do not change
         (root / "src").mkdir(parents=True)
         (root / "devel").symlink_to(ROOT / "devel")
         loader = root / "devel" / "coop.sh"
@@ -434,7 +434,7 @@ needs_mounts = pytest.mark.skipif(not may_mount(), reason="another computer's fo
 
 
 def answer_yes(server, *words):
-    """./maap machines at a terminal where somebody types y. Returns what it printed."""
+    """./maap machines at a terminal where y is typed. Returns what it printed."""
     keyboard, terminal = os.openpty()
     try:
         os.write(keyboard, b"y\n")
@@ -454,7 +454,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         (tmp_path / "bin" / program).write_text("#!/bin/sh\n%s\n" % body)
         (tmp_path / "bin" / program).chmod(0o755)
     special = {1: ["AuthorizedKeysFile none"], 2: ["SetEnv PATH=%s:/usr/bin:/bin" % (tmp_path / "bin")]}
-    # the third machine is root as all of them, but finds the file missing and believes to be somebody else
+    # the third machine is root as all of them, but finds the file missing and takes itself for another user
     settings = tmp_path / "sshd_config.d"
     before = "mount --bind %s /etc/ssh/sshd_config.d" % settings
     server = Server(tmp_path / "server", 3, special, before, ["Include /etc/ssh/sshd_config.d/*.conf"])
@@ -500,7 +500,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
                 "ecdsa-sha2-nistp256",
             }
 
-        # nothing is missing, but whether sshd has read it nobody knows: it is told once more
+        # nothing is missing, but whether sshd has read it is unknown: it is told once more
         before = server.restarts()
         code, printed = server.maap("setup", file, "--only", "risc2", "--yes")
         assert code == 0 and "wrote" not in printed and "green keep-alive sshd there is set to" in flat(printed)

@@ -21,7 +21,7 @@ MASTER = "http://127.0.0.1:5000"
     ("error", "text", "cure"),
     [
         (TimeoutError(), "no answer from 127.0.0.9 port 22 within 5 s", "same network"),
-        (OSError(errno.ENETUNREACH, os.strerror(errno.ENETUNREACH)), "no way to 127.0.0.9", "cable or the Wi-Fi here"),
+        (OSError(errno.ENETUNREACH, os.strerror(errno.ENETUNREACH)), "no route to 127.0.0.9", "cable or the Wi-Fi"),
         (ConnectionRefusedError(), "refuses", "openssh-server"),
         (socket.gaierror(), "cannot be resolved", "/etc/hosts"),
     ],
@@ -37,7 +37,7 @@ def test_an_unreachable_computer_has_its_own_cause(error, text, cure):
         (0.004, 0.001, "green"),
         (-0.004, 0.010, "green"),
         (0.006, 0.001, "yellow"),
-        (0.000, 0.025, "yellow"),  # it may be right, nobody knows
+        (0.000, 0.025, "yellow"),  # it may be right or not
         (0.024, 0.025, "yellow"),
         (-0.021, 0.001, "red"),
         (0.100, 0.050, "red"),
@@ -183,9 +183,9 @@ def test_what_this_shell_would_tell_the_others(environment, wrong):
 @pytest.mark.parametrize(
     ("error", "text"),
     [
-        (EOFError(), "speaks no ssh (it hangs up)"),
-        (paramiko.SSHException("Error reading SSH protocol banner"), "speaks no ssh (Error reading"),
-        (paramiko.AuthenticationException(), "takes none of this computer's keys"),
+        (EOFError(), "is not an ssh server (it closes the connection)"),
+        (paramiko.SSHException("Error reading SSH protocol banner"), "is not an ssh server (Error reading"),
+        (paramiko.AuthenticationException(), "accepts none of this computer's keys"),
         (paramiko.PasswordRequiredException(), "has a passphrase"),
     ],
 )
@@ -205,7 +205,7 @@ def test_each_end_of_a_login_is_a_finding(error, text, monkeypatch):
     [
         (paramiko.AuthenticationException(), True),
         (paramiko.SSHException("No authentication methods available"), True),
-        (paramiko.PasswordRequiredException(), False),  # nobody there lacks the key
+        (paramiko.PasswordRequiredException(), False),  # the key is known there
     ],
 )
 def test_a_password_is_asked_for_only_where_our_key_is_missing(error, asks, monkeypatch):
@@ -246,12 +246,12 @@ class Talker:
 @pytest.mark.parametrize("printed", ["", "5", "null", "{}", "[3]", '{"files": 5}', '{"files": {}}', "[]]"])
 def test_what_is_no_answer_is_a_finding(printed):
     found = [check._workspace(Talker(printed), None), *check._doctor(RISC2, Talker(printed).loaded)]
-    assert [finding.text[:16] for finding in found] == ["it cannot say wh", "it does not run "]
+    assert [finding.text[:16] for finding in found] == ["its revision and", "it does not run "]
     assert all("./maap setup on that computer" in finding.cure for finding in found), "it may lack packages"
 
 
 def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path, monkeypatch, capsys):
-    """env-loader=/home/pilot/coop.sh: its grandparent, /, is no workspace."""
+    """env-loader=/home/pilot/coop.sh: its grandparent, /, is not a workspace."""
     (tmp_path / "ws" / "devel").mkdir(parents=True)
     (tmp_path / "ws" / "devel" / "setup.sh").touch()
     monkeypatch.setenv("CMAKE_PREFIX_PATH", "%s/ws/devel:/opt/ros" % tmp_path)

@@ -78,7 +78,7 @@ class DFPlots:
             self._recorder.finish()
         self._plot()
         with contextlib.suppress(OSError):
-            self._folder.rmdir()  # nothing but an empty folder lets itself be removed
+            self._folder.rmdir()  # only an empty folder can be removed
 
     def _on_message(self, message, topic):
         with self._lock:

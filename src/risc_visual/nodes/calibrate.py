@@ -65,7 +65,7 @@ def report(result, source, found, count, all_views):
     print("%s: board found in %d of %d pictures" % (source, found, count))
     for key, value in values.items():
         deviation = result.sigma[key]
-        print("  %-3s %12.6g  %s" % (key, value, "+- %.2g" % deviation if deviation > 0.0 else "(not sought)"))
+        print("  %-3s %12.6g  %s" % (key, value, "+- %.2g" % deviation if deviation > 0.0 else "(not estimated)"))
     print("reprojection error: %.3f px RMS over %d views" % (result.rms_px, len(result.used)))
     worst = sorted(result.used, key=lambda view: view.rms_px, reverse=True)
     for view in worst if all_views else worst[:3]:
@@ -73,7 +73,7 @@ def report(result, source, found, count, all_views):
     if len(worst) > 3 and not all_views:
         print("  ... (all of them: --views)")
     for view in result.dropped:
-        print("  dropped, does not fit: %.2f px  %s" % (view.rms_px, view.name))
+        print("  dropped as an outlier: %.2f px  %s" % (view.rms_px, view.name))
     for warning in result.warnings:
         print("warning: %s" % warning)
 
@@ -95,7 +95,7 @@ def main():
     parser.add_argument("--topic", help="picture topic of the bag (default: its only one)")
     parser.add_argument("--name", default="ardrone_front", help="name of the camera (default: %(default)s)")
     parser.add_argument("--out", type=pathlib.Path, metavar="FILE.yaml", help="default: NAME.yaml, in this folder")
-    parser.add_argument("--max-pictures", type=int, default=200, help="read at most so many (default: %(default)s)")
+    parser.add_argument("--max-pictures", type=int, default=200, help="read at most this many (default: %(default)s)")
     parser.add_argument("--radial", type=int, choices=(2, 3), default=2, help="3: k3 too, for very wide lenses")
     parser.add_argument("--views", action="store_true", help="print the error of every view")
     args = parser.parse_args()
@@ -110,7 +110,7 @@ def work(args):
         raise ValueError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
     board = Checkerboard.from_text(args.size, args.square)
     if not out.absolute().parent.is_dir():
-        raise ValueError("cannot write %s: there is no folder %s, make it" % (out, out.parent))
+        raise ValueError("cannot write %s: there is no folder %s, create it" % (out, out.parent))
     source, count, pictures = open_pictures(args.source, args.topic, args.max_pictures)
     views, size_px = find_views(source, count, pictures, board)
     show_progress("calibrating with %d views ..." % len(views))

@@ -79,7 +79,7 @@ class DrawNodesTest(unittest.TestCase):
         while not all(publisher.get_num_connections() for publisher in cls.publishers.values()):
             if time.monotonic() > deadline_s:
                 silent = sorted(t for t, publisher in cls.publishers.items() if not publisher.get_num_connections())
-                raise AssertionError("nobody listened to %s within %g s" % (", ".join(silent), START_S))
+                raise AssertionError("no node listened to %s within %g s" % (", ".join(silent), START_S))
             time.sleep(0.02)
 
     @classmethod
@@ -287,7 +287,7 @@ class DrawNodesTest(unittest.TestCase):
         self.fly(1.5, visible=False)  # fluffy_II is lost
         drawn = True
         while drawn:
-            self.assertLess(time.monotonic(), deadline_s, "rays of a vehicle that nobody sees")
+            self.assertLess(time.monotonic(), deadline_s, "rays of an unseen vehicle")
             self.clear()
             self.look()
             self.fly(0.3, visible=False)

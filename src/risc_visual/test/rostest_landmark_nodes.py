@@ -187,7 +187,7 @@ class LandmarkNodesTest(unittest.TestCase):
 
             self.wait(complaints, "the complaint about " + told)
             self.assertEqual(len(complaints()), 1)
-            self.assertIn("/risc3/ardrone/image_rect_color is refused", complaints()[0])
+            self.assertIn("/risc3/ardrone/image_rect_color was rejected", complaints()[0])
         self.check(self.answer("risc3", self.message(self.picture)), "risc3")
         self.wait(
             lambda: {value.key: value.value for value in self.status("risc3").values}.get("refused", "0") != "0",
@@ -200,7 +200,7 @@ class LandmarkNodesTest(unittest.TestCase):
 
     def test_5_the_overlay_is_drawn_for_listeners_only(self):
         message = self.message(self.picture)
-        self.answer("risc2", message)  # nobody listens: nothing but this answer
+        self.answer("risc2", message)  # no subscriber: nothing but this answer
         drawn = []
         listener = rospy.Subscriber("/risc2/ardrone/image_modi", Image, self.keep, drawn, queue_size=5)
         deadline_s = time.monotonic() + PATIENCE_S
@@ -312,7 +312,7 @@ class LandmarkNodesTest(unittest.TestCase):
         masks, file = [], pathlib.Path(rospy.get_param("/tuned_file"))
         self.assertFalse(file.exists())
         listener = rospy.Subscriber("/risc3/camera/tuned_mask", Image, self.keep, masks, queue_size=1)
-        self.wait(lambda: self.raw.get_num_connections() >= 1, "mask_tuner listens when somebody wants its mask")
+        self.wait(lambda: self.raw.get_num_connections() >= 1, "mask_tuner listens when its mask has a subscriber")
         tuner = dynamic_reconfigure.client.Client("/risc3/blob_finder", timeout=PATIENCE_S)
         low, high = 140, 179
         tuner.update_configuration({"hue_low": low, "hue_high": high, "saturation_high": 255, "kernel": 0, "blur": 0})

@@ -65,7 +65,7 @@ LATCHED = ("net", "/risc1/safety", "/trajectory_phase")
 
 
 def start(port, *arguments):
-    """The node as a process; its output is read by whoever wants it."""
+    """The node as a process; its output is read on demand."""
     command = [sys.executable, str(NODE), "_port:=%d" % port, "__name:=live_view", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
@@ -172,7 +172,7 @@ class LiveViewTest(unittest.TestCase):
         finally:
             over.set()
             thread.join()
-        self.assertNotIn("/angle_lines/risc2/1", page.nodes, "nobody knows where that is")
+        self.assertNotIn("/angle_lines/risc2/1", page.nodes, "its place is unknown")
 
     def test_4_the_panel_says_what_the_vehicles_say_and_what_is_silent(self):
         page = self.open_page()
@@ -233,7 +233,7 @@ class LiveViewTest(unittest.TestCase):
     def test_5_faults_are_offered_where_there_is_a_virtual_lab(self):
         page = self.open_page()
         wait_for(lambda: "LAND ALL" in page.labels(), "buttons")
-        self.assertNotIn("inject", page.labels(), "nobody offers faults")
+        self.assertNotIn("inject", page.labels(), "no lab offers faults")
         asked = []
 
         def on_inject(request):
@@ -291,7 +291,7 @@ class LiveViewTest(unittest.TestCase):
         other = start(self.port, "__name:=other_view")
         output = other.communicate(timeout=120.0)[0]
         self.assertEqual(other.returncode, 1)
-        self.assertIn("live_view: port %d of 127.0.0.1 is taken" % self.port, output)
+        self.assertIn("live_view: port %d of 127.0.0.1 is in use" % self.port, output)
         self.assertNotIn("Traceback", output)
         self.assertIsNone(self.node.poll())
 

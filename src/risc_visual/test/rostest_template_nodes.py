@@ -144,7 +144,7 @@ class TemplateNodesTest(unittest.TestCase):
         # the navdata reader proves that the nodes are up
         self.wait_until(lambda: self.navdata.get_num_connections() > 0, "vert_drone")
         time.sleep(1.0)
-        self.assertEqual(drone.get_num_connections(), 0, "nobody listens to any result")
+        self.assertEqual(drone.get_num_connections(), 0, "no result has a subscriber")
         with Results("/diagnostics", DiagnosticArray) as diagnostics:
 
             def says(text):
@@ -272,7 +272,7 @@ class TemplateNodesTest(unittest.TestCase):
             edges.wait_for(lambda m: m.header.frame_id == "eye", "edges")
             type(self).encoding = "nonsense"
             try:
-                entry = self.log.wait_for(lambda m: "is refused" in m.msg and "edge_drone" in m.name, "the refusal")
+                entry = self.log.wait_for(lambda m: "was rejected" in m.msg and "edge_drone" in m.name, "the refusal")
                 self.assertIn("nonsense", entry.msg)
                 self.assertIn("/ardrone/image_raw", entry.msg)
                 diagnostics.wait_for(
@@ -300,7 +300,7 @@ class TemplateNodesTest(unittest.TestCase):
             diagnostics.wait_for(says("working"), "a working compress_images")
             type(self).encoding = "nonsense"
             try:
-                diagnostics.wait_for(says("refused"), "the refusal")
+                diagnostics.wait_for(says("rejected"), "the refusal")
             finally:
                 type(self).encoding = "bgr8"
             pictures.wait_for(what="a picture again")

@@ -26,7 +26,7 @@ class Told:
 
 
 def test_all_are_asked_at_the_same_time():
-    meeting = threading.Barrier(3, timeout=20.0)  # nobody passes before all have come
+    meeting = threading.Barrier(3, timeout=20.0)  # none passes before all have come
     told = Told()
 
     def question(name):

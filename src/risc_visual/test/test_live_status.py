@@ -136,7 +136,7 @@ def test_the_rung_of_the_ladder_and_its_reason_stand_out():
 def test_answers_to_a_landing_are_shown_good_or_bad():
     panel = Panel().hear()
     panel.status.note_asked(["risc1", "risc2"], "20:13:59")
-    assert "landing asked for at 20:13:59" in panel.text()
+    assert "landing requested at 20:13:59" in panel.text()
     assert {"risc1: asked", "risc2: asked"} <= set(panel.told_as("small"))
     panel.status.note_answer("risc1", True, "landing (landing was requested)")
     panel.status.note_answer("risc2", False, "no answer within 3 s")
@@ -190,9 +190,9 @@ def test_a_state_without_a_name():
 
 
 def test_the_page_says_by_itself_that_it_is_old():
-    """Its animation ends in view; every new text of the panel begins it anew."""
+    """Its animation ends in view; every new text of the panel restarts it."""
     panel = Panel().hear()
-    assert panel.told_as("page-old") == ["NO NEWS FOR 3 s: WHAT YOU SEE IS OLD"]
+    assert panel.told_as("page-old") == ["NO UPDATE FOR 3 s: WHAT YOU SEE IS OLD"]
     assert re.search(r"page-old \{ visibility: hidden;.*\n.*animation: rm-old 0s linear %gs" % PAGE_OLD_S, PAGE_STYLE)
     assert re.search(r"@keyframes rm-old \{ to \{ visibility: visible;", PAGE_STYLE)
     assert panel.status.html(panel.now_s, "20:14:05") != panel.status.html(panel.now_s, "20:14:06")

@@ -113,7 +113,7 @@ def test_a_new_marker_is_drawn_once(view):
     view.show(marker(at=at))
     np.testing.assert_allclose(view.pose(PART % 1), at, atol=1e-6)
     view.note(marker(at=at))
-    assert view.turn() == 0, "the same again is no news"
+    assert view.turn() == 0, "the same again changes nothing"
 
 
 def test_a_vehicle_that_flies_is_one_change(view):

@@ -98,7 +98,7 @@ def test_a_colour_is_added_and_changed_and_the_rest_stays(tmp_path):
     "file, name, told",
     [
         ("", "red", "~file"),
-        ("my.yaml", "bad name", "no name of a colour"),
+        ("my.yaml", "bad name", "not a valid colour name"),
         ("gone/my.yaml", "red", "cannot write"),
         ("list.yaml", "red", "list.yaml"),
     ],

@@ -94,7 +94,7 @@ def test_a_mount_that_is_reset_while_a_handle_moves_stays_reset():
     resetting = threading.Thread(target=tuner.reset)
 
     class Slow(dict):
-        """Numbers that are read while somebody else resets the mount."""
+        """Numbers that are read while another thread resets the mount."""
 
         def get(self, *arguments):
             if resetting.ident is None:
@@ -123,7 +123,7 @@ def test_without_bearings_nothing_changes():
         "again",
     )
     done, text = tuner.check(aside)
-    assert not done and "0 bearings were kept aside, 30 are needed: record more" in text
+    assert not done and "0 bearings were held out, 30 are needed: record more" in text
     assert tuner.mount == FRONT_MOUNT
 
 

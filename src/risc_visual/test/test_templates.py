@@ -234,7 +234,7 @@ def test_roll_is_that_of_the_pictures_time():
     assert rolls.at(9.15) == pytest.approx(0.3)
     assert rolls.at(9.4) == 0.4
     assert rolls.at(10.3) is None and rolls.at(7.9) is None, "too long ago"
-    for time_s in (2.98, 2.99, 3.0):  # a bag begins anew
+    for time_s in (2.98, 2.99, 3.0):  # a bag restarts
         rolls.add(time_s, -0.1)
     assert rolls.at(3.1) == -0.1 and rolls.at(9.15) is None
     for k in range(1, 1000):
@@ -288,7 +288,7 @@ def test_a_missing_or_wrong_network_is_named(tmp_path):
         FaceFinder(FaceSettings(model_file=str(tmp_path / "nowhere.onnx")))
     wrong = tmp_path / "wrong.onnx"
     wrong.write_bytes(b"no network")
-    with pytest.raises(ValueError, match="wrong.onnx is no YuNet network"):
+    with pytest.raises(ValueError, match="wrong.onnx is not a YuNet network"):
         FaceFinder(FaceSettings(model_file=str(wrong)))
 
 
@@ -381,7 +381,7 @@ def test_camshift_says_lost_and_finds_again(photograph):
 @pytest.mark.parametrize("rectangle", [(0, 0, 0, 0), (600, 700, 50, 50), (-80, -80, 50, 50), (440, 560, 60, 30)])
 def test_camshift_refuses_a_rectangle_without_colour(photograph, rectangle):
     photograph[550:] = 128
-    with pytest.raises(ValueError, match="holds no colour to follow"):
+    with pytest.raises(ValueError, match="has no colour to follow"):
         CamshiftTracker(CamshiftSettings()).start(photograph, rectangle)
 
 

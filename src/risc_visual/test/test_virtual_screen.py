@@ -86,7 +86,7 @@ def test_everything_ends_with_the_screen():
     assert program.poll() is not None
     socket = "/tmp/.X11-unix/X" + screen.display[1:]
     assert not os.path.exists(socket)
-    # whoever still uses the display is told so
+    # programs that still use the display are told so
     late = subprocess.run(window("0", "0", "5", "5", "0"), env=screen.environment(), timeout=60, capture_output=True)
     assert late.returncode != 0
 

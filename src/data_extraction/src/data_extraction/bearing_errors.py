@@ -21,7 +21,7 @@ LEAST_DIAMETER_PX = 14.0  # of a landmark's middle (or of a vehicle): what is sm
 WHOLE = 0.999  # fraction of an outline in the picture from which on it counts as fully seen
 _DELAYS_S = np.linspace(-0.1, 0.4, 51)
 _DELAY_GAIN_DEG = 0.02  # delays that make no more difference to the errors than this cannot be told apart
-_LATE_S = 0.01  # stamps that are later than this deserve a remark
+_LATE_S = 0.01  # stamps that are later than this are noted
 
 
 class TargetBearings:
@@ -163,20 +163,20 @@ class BearingCollector(Collector):
                 result.notes.append(str(error))
                 continue
             if camera is None:
-                text = "%s: what was in view is not known: there is no calibration in the bag or in the fleet file"
+                text = "%s: what was in view is unknown: neither the bag nor the fleet file has a calibration"
                 result.notes.append(text % vehicle)
             observer = Observer(camera, mounts[vehicle])
             result.vehicles[vehicle] = self._compare(name, vehicle, observer, discs, topic, delay_s, result.notes)
         result.best_delay_s, result.best_delay_rms_deg = self._best_delay(result.vehicles, mounts, discs, topic)
         if result.best_delay_s is not None and abs(result.best_delay_s - delay_s) > _LATE_S:
             result.notes.append(
-                "the stamps look %.0f ms later than was assumed: correct video_latency of the driver, or the delay here"
+                "the stamps look %.0f ms later than assumed: correct video_latency of the driver, or the delay here"
                 % (1e3 * (result.best_delay_s - delay_s))
             )
         return result
 
     def _template(self, name, is_vehicle):
-        """Mocap template of an object on /angles; its name there when nobody knows."""
+        """Mocap template of an object on /angles; its name there when unknown."""
         if not is_vehicle:
             return self._surroundings.catalogue.template_of_region.get(name, name)
         try:

@@ -1,4 +1,4 @@
-"""Bag to CSV, one file a topic, in one pass and in bounded memory."""
+"""Bag to CSV, one file per topic, in one pass and in bounded memory."""
 
 import csv
 import pathlib

@@ -48,7 +48,7 @@ def seconds(time):
 
 
 def stamp_or_receipt_s(message, receipt_s):
-    """Stamp [s] of a message; its receipt when nobody stamped it, as in the original release."""
+    """Stamp [s] of a message; its receipt when it is not stamped, as in the original release."""
     return seconds(message.header.stamp) or receipt_s
 
 

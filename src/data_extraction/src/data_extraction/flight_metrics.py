@@ -81,12 +81,12 @@ class Mocap:
 class Flight:
     """Everything the figures and plots are made from."""
 
-    start_s: float | None  # ROS time of the first reference; None = nobody gave one
+    start_s: float | None  # ROS time of the first reference; None = there was none
     vehicles: dict[str, VehicleFlight]
     latency_s: dict[str, np.ndarray]  # {hop: (n,) [s]}
     mocap: Mocap
     judged_against: str  # "ground truth" or "mocap"
-    bearings: BearingStatistics | None = None  # None when nothing looked
+    bearings: BearingStatistics | None = None  # None without bearings
     paths: dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, to be drawn
     landmarks: dict[str, np.ndarray] = field(default_factory=dict)  # (3,) [m] cortex frame
     command_latency_s: dict[str, np.ndarray] = field(default_factory=dict)  # {topic of commands: (n,) [s]}
@@ -95,7 +95,7 @@ class Flight:
 
 
 class FlightCollector(Collector):
-    """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, and no more than so many."""
+    """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, of a limited count."""
 
     topics = ("/mocap_time", "/operator/phase", "/operator/result", REFERENCES, TRUTH, *_ANSWERS)
     ends = ("/commands_sent", "/cmd_vel_stamped", "/trajectory_phase", "/safety")
@@ -169,7 +169,7 @@ class FlightCollector(Collector):
         states = recording.parts(source)
         references = recording.parts(REFERENCES, states)
         if not references:
-            notes.append("there is no /trajectory in the bag, so the errors of the vehicles are not known: record it")
+            notes.append("there is no /trajectory in the bag, so the errors of the vehicles are unknown: record it")
         unknown = sorted(set(references) - set(states))
         if unknown:
             notes.append("%s never shows %s, which /trajectory names" % (source, ", ".join(unknown)))
@@ -185,7 +185,7 @@ class FlightCollector(Collector):
             )
         if recording.unstamped:
             topics = ", ".join(sorted(recording.unstamped))
-            notes.append("%s bears no stamps: times are those of receipt, of the positions too" % topics)
+            notes.append("%s has no stamps: times are those of receipt, of the positions too" % topics)
         known = {name: references[name] for name in states if name in references}
         firsts = (samples.first[recording.clock] for parts in known.values() for _, samples in parts)
         start_s = min(firsts, default=None)
@@ -235,7 +235,7 @@ class FlightCollector(Collector):
         return lambda t_s: (self._recording.told(name, t_s)[1] == ON_COURSE) & (t_s < landed_s)
 
     def _mocap(self):
-        """Frames from the beginning of the flight to its result: outside of it nodes come and go."""
+        """Frames from the beginning of the flight to its result: outside it nodes start and stop."""
         stamps_ns, numbers = self._frames.first()
         estimated_ns, _ = self._arrivals[STATES].first()
         estimated_ns = estimated_ns[(estimated_ns >= 1e9 * self._begun_s) & (estimated_ns < 1e9 * self._over_s)]
@@ -303,7 +303,7 @@ def evaluate(desired, actual, on_course, start_s):
     grid_s = begin_s + step_s * np.arange(max(0, math.floor((end_s - begin_s) / step_s) + 1))
     grid_s = grid_s[grid_s <= end_s]
     if len(grid_s) < 2:
-        raise ValueError("the bag is too short: there is no time at which both a reference and a position are known")
+        raise ValueError("the bag is too short: at no time are both a reference and a position known")
     want, have = desired.at(grid_s), actual.at(grid_s)
     course = np.ones(len(grid_s), dtype=bool) if on_course is None else on_course(grid_s)
     vehicle = VehicleFlight(grid_s - start_s, want[:, :3], have[:, :3], want[:, 3], have[:, 3], course)

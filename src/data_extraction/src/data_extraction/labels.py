@@ -38,7 +38,7 @@ class LabelParams(Settings):
 
 def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None):
     """Write the pictures of a bag and one labels.json into a folder. Returns (path of that file, number of pictures, of
-    labels, of pictures left out because motion capture did not see their vehicle just then).
+    labels, of pictures left out because motion capture did not see their vehicle at that time).
 
     fleet: risc_lab.lab.Fleet, see Surroundings. topics: of the pictures; None = all that there are.
     Raises BagError for a bag that lacks something, ValueError for calibrations that are not usable, OSError when the
@@ -67,8 +67,8 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
                 progress.show("labelling", "%d pictures" % len(data_set.images))
     if not data_set.images:
         raise BagError(
-            "%s: no picture could be labelled: %s does not say where the vehicle was at any picture's time. Are the "
-            "stamps of the two of one clock, and is the delay (%g s) right?"
+            "%s: no picture could be labelled: %s does not say where the vehicle was at any picture's time. Are "
+            "both stamped by the same clock, and is the delay (%g s) right?"
             % (bag_path, params.states_topic, params.delay_s)
         )
     return data_set.write(bag_path), len(data_set.images), len(data_set.annotations), data_set.without_pose
@@ -196,7 +196,7 @@ def _picture_topics(bag, wanted):
     bag.require(wanted or ())
     for topic in wanted or ():
         if bag.types[topic] not in MESSAGES:
-            raise BagError("%s, %s: this is no topic of pictures but of %s" % (bag.path, topic, bag.types[topic]))
+            raise BagError("%s, %s is not an image topic; its type is %s" % (bag.path, topic, bag.types[topic]))
     found = list(wanted or camera_topics.picture_topics(bag.types))
     if not found:
         raise BagError(

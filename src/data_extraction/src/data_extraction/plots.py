@@ -29,7 +29,7 @@ _FEW = 6  # vehicles that have a colour and a line in a legend each; of more,
 _WORST = 3  # so many
 COURSE_LIMITS_M = ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))  # of a course's path, as in the original release
 _ROOM_M = 0.1  # beyond a path that leaves them
-_GAP_S = 0.25  # a line is broken where nothing is known for longer
+_GAP_S = 0.25  # a line is broken where values are missing for longer
 _STILL_DEG = 2.0  # angles that stay below this are shown on an axis of this size
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
@@ -163,7 +163,7 @@ def errors(flight, title, faults=()):
         axes.plot(t_s, 1e3 * error_m, color=colour, lw=1.0, label=label)
     judged = np.concatenate([v.error_m[v.judged] for v in flight.vehicles.values()])
     everything = np.concatenate([v.error_m for v in flight.vehicles.values()])
-    # The climb after take-off is metres away from any course: it would flatten what one wants to see.
+    # The climb after take-off is metres away from any course: it would flatten what matters.
     top = 3.0 * judged.max() if len(judged) else np.nanpercentile(everything, 95)
     axes.set_ylim(0.0, 1e3 * top)
     _shade(axes, next(iter(flight.vehicles.values())))
@@ -338,11 +338,14 @@ def fence_margin(margins, zero_s, faults=()):
     lowest_m = 0.05
     for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
         times_s, now_m, stopped_m = item.table.T
-        lowest_m = min(lowest_m, float(stopped_m.min()))
-        for values_m, style in ((stopped_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
+        lines = [(now_m, {"lw": 1.2, "label": name})]
+        if item.type_known:
+            lines.insert(0, (stopped_m, {"lw": 0.7, "alpha": 0.5}))
+        lowest_m = min(lowest_m, float(lines[0][0].min()))
+        for values_m, style in lines:
             t_s, closeness_m = _peaks(times_s, -values_m)
             axes.plot(t_s - zero_s, -closeness_m, color=colour, **style)
-    for limit_m in sorted({item.fence.margin_m for item in margins.values()}):
+    for limit_m in sorted({item.fence.margin_m for item in margins.values() if item.type_known}):
         axes.axhline(limit_m, color="#b3261e", lw=1.0, ls="--", label="landing is ordered below %g m" % limit_m)
     axes.set(xlabel="time [s]    (pale: of where it could have stopped)", ylabel="distance from the net [m]")
     axes.set_ylim(bottom=lowest_m - 0.05)
@@ -446,7 +449,7 @@ def _draw_errors(axes, segment, errors, names, label):
 
 
 def _with_gaps(t_s, values):
-    """Times (n,) and values (n, k) with a NaN wherever nothing is known for a while, so that lines break there."""
+    """Times (n,) and values (n, k) with a NaN wherever values are missing for a while, so that lines break there."""
     after = np.flatnonzero(np.diff(t_s) > _GAP_S) + 1
     return np.insert(t_s, after, np.nan), np.insert(values, after, np.nan, axis=0)
 

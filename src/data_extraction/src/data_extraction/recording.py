@@ -22,7 +22,7 @@ class Series:
     t_s: np.ndarray  # (n,) [s], increasing
     values: np.ndarray  # (n, k)
     receipts_s: np.ndarray | None = None  # (n,) [s] when they came
-    labels: np.ndarray | None = None  # (n,) the names that are no vehicle's but the course's; "" = none
+    labels: np.ndarray | None = None  # (n,) the names that are the course's, not a vehicle's; "" = none
 
     def at(self, t_s):
         """Values interpolated at times t_s (m,). Returns (m, k); NaN outside the recorded time."""
@@ -38,7 +38,7 @@ class Series:
         return near & (self.labels[before] == self.labels[after]), self.labels[before]
 
     def thinned(self, most):
-        """A Series of its own of about so many samples, first and last among them."""
+        """A Series of its own of at most `most` samples, first and last among them."""
         rows = np.unique(np.linspace(0, len(self.t_s) - 1, min(most, len(self.t_s))).round().astype(int))
         return Series(self.t_s[rows], self.values[rows])
 
@@ -71,7 +71,7 @@ class Recording:
         return self._take.keys()
 
     def add(self, topic, receipt_s, stamp_s, entries):
-        """Take the entries of a message. stamp_s: 0 when nobody stamped it."""
+        """Take the entries of a message. stamp_s: 0 when it is not stamped."""
         take, samples = self._take[topic], self._samples[topic]
         if not stamp_s:
             self.unstamped.add(topic)
@@ -109,7 +109,7 @@ class Recording:
         return bool(self._marks[-1][2])
 
     def told(self, vehicle, receipts_s):
-        """(courses, phases) of a vehicle at times of receipt (n,): words, "" where nobody says."""
+        """(courses, phases) of a vehicle at times of receipt (n,): words, "" where unknown."""
         marks = np.searchsorted([mark[0] for mark in self._marks], receipts_s, side="right") - 1
         courses = np.array([course for _, course, _, _ in self._marks])
         phases = np.array([phases.get(vehicle, others) for _, _, phases, others in self._marks])
@@ -144,7 +144,7 @@ class Recording:
 
     @property
     def clock(self):
-        """Column of the Samples that holds the times: stamps, or receipts when somebody did not stamp."""
+        """Column of the Samples that holds the times: stamps, or receipts when a topic has no stamps."""
         return 1 if self.unstamped else 0
 
     def series(self, parts):

@@ -72,9 +72,9 @@ class Segment:
     """A stretch of one vehicle's flight in which course and phase stay the same."""
 
     vehicle: str
-    course: str  # "" when nobody says what it is called
-    phase: str  # word of /trajectory_phase or /operator/phase; "" when nobody says
-    table: np.ndarray  # (n, 16) as in COLUMNS; a desired roll and pitch that nobody commanded is NaN
+    course: str  # "" when its name is unknown
+    phase: str  # word of /trajectory_phase or /operator/phase; "" when unknown
+    table: np.ndarray  # (n, 16) as in COLUMNS; a desired roll and pitch that was not commanded is NaN
 
     def columns(self, names):
         """(n, len(names)) columns by their names."""
@@ -174,7 +174,7 @@ class Recorder:
     def add(self, topic, receipt_s, message, stamp_s=None):
         """Take a message of any topic in TOPICS; of SENT each command by itself, and when it was sent as its stamp.
 
-        stamp_s: of its header, when it has one; 0 = nobody stamped it.
+        stamp_s: of its header, when it has one; 0 = it is not stamped.
         """
         recording = self._recording
         if topic == PHASES:
@@ -232,11 +232,11 @@ class Recorder:
 
     def _collect(self, until_s):
         """Pair what came up to a time; forget what belongs to segments that have ended, or finds no partner any more:
-        states while nobody says where the vehicle should be, references of a vehicle that is not seen.
+        states while no reference says where the vehicle should be, references of a vehicle that is not seen.
         """
         recording, order = self._recording, self._recording.order
         if not order:
-            recording.restart()  # references and commands of nobody
+            recording.restart()  # references and commands without a vehicle
             return
         told = {topic: recording.parts(topic, order) for topic in _FIELDS}
         for name in dict.fromkeys(itertools.chain(*told.values())):

@@ -19,7 +19,7 @@ def summarise(flight, experiment, simulated, artefacts, origin=None, faults=None
     experiment: name; simulated: False, or a dict that says the noise and delay model;
     artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}; origin: report.origin.Origin.
     faults: report.faults.Faults.
-    `passed` is None until somebody has judged.
+    `passed` is None until it has been judged.
     """
     duration_s = max((float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values()), default=0.0)
     delays_s = origin.command_delays_s() if origin else {}

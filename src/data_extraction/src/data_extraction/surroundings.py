@@ -123,8 +123,8 @@ class Surroundings(Collector):
     def _normal(self, name, place):
         """Unit vector (3,) out of the painted side, cortex frame; None when nothing tells.
 
-        The plane is that of the markers on the rim, as measured or else as in the template; which of its sides is
-        painted says the fleet file, else it is the one towards the middle of the arena.
+        The plane is that of the markers on the rim, as measured or else as in the template; the fleet file says
+        which of its sides is painted, else it is the one towards the middle of the arena.
         """
         towards = -np.asarray(place, dtype=float) * (1.0, 1.0, 0.0)
         facing_rad = self._placed[name].facing_rad if name in self._placed else None

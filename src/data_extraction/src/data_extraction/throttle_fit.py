@@ -120,7 +120,7 @@ def _hover(window, throttle, params):
 
 
 def _held(samples, times_s, most_s):
-    """(n,) the newest value of samples (m, 2) at each time; None where there is none so young."""
+    """(n,) the newest value of samples (m, 2) at each time; None where there is none as recent."""
     rows = np.searchsorted(samples[:, 0], times_s, side="right") - 1
     if rows[0] < 0 or (times_s - samples[rows, 0]).max() > most_s:
         return None
@@ -182,7 +182,7 @@ def fit_bag(path, vehicle=None, params=None, progress=None):
         points = hover_points(states, throttle, battery, params)
         if not len(points.pct):
             raise ValueError(
-                "there is no second in which %s was seen higher than %g m and slower than %g m/s with a throttle and a "
+                "in no second was %s seen higher than %g m and slower than %g m/s with a throttle and a "
                 "charge: see --min-height and --max-speed" % (name, params.min_height_m, params.max_speed_m_s)
             )
         return name, fit(points, params.order)
@@ -219,7 +219,7 @@ class _Material:
                 self._sent[_namespace(topic), entry.name].append((receipt_s, entry.T))
         else:
             charge = self.batteries[topic](message)
-            if charge >= 0:  # NaN and -1: it has told none
+            if charge >= 0:  # NaN and -1: none was reported
                 self._charges[_namespace(topic)].append((receipt_s, charge))
 
     def of(self, vehicle):
@@ -227,7 +227,8 @@ class _Material:
         known = [key for key in self._sent if key[0] in self._charges]
         if not known:
             raise ValueError(
-                "no vehicle has told a charge: is its battery monitor set up (ArduCopter: BATT_MONITOR, BATT_CAPACITY)?"
+                "no vehicle has reported its battery level: is its battery monitor "
+                "set up (ArduCopter: BATT_MONITOR, BATT_CAPACITY)?"
             )
         wanted = [key for key in known if vehicle in (None, *key)]
         names = ", ".join("%s (%s)" % (name, namespace) for namespace, name in known)

@@ -20,7 +20,7 @@ LANDING_S = 0.3
 
 
 def free_address():
-    """A loopback address whose ports nobody uses."""
+    """A loopback address whose ports are unused."""
     for attempt in range(200):
         number = os.getpid() * 7 + attempt
         address = "127.%d.%d.%d" % (100 + number // 62500 % 100, 1 + number // 250 % 250, 1 + number % 250)

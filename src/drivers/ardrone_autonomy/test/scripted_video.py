@@ -83,7 +83,7 @@ def bar_number(rgb):
 
 
 class ScriptedVideo:
-    """Start with `with`. Films all the time, whether somebody is connected or not; attributes may be changed meanwhile.
+    """Start with `with`. Films all the time, with or without a connection; attributes may be changed meanwhile.
 
     channel: function that returns 0 (front) or 1 (bottom), the camera that films.
     alter: function of a picture with its header (bytes) that gives what is sent to the client instead.
@@ -126,7 +126,7 @@ class ScriptedVideo:
 
     @property
     def has_client(self):
-        """Somebody is connected."""
+        """A client is connected."""
         return self._client is not None
 
     @contextlib.contextmanager
@@ -181,7 +181,7 @@ class ScriptedVideo:
             self._listener = self._listen()
         sockets = [self._listener] + ([self._client] if self._client is not None else [])
         readable, _, _ = select.select(sockets, (), (), timeout_s)
-        if self._client in readable:  # nobody sends anything here: it has gone
+        if self._client in readable:  # clients send nothing: it has gone
             self._drop()
         if self._listener in readable:
             self._drop()

@@ -172,8 +172,8 @@ def test_a_new_driver_takes_its_vehicles_over(vehicles, drive):
     while (heard := vehicles[0].hears_within(0.0)) != (None, None):
         data, time_s = heard
         # we may have come late: until then it was right to land
-        assert data != LAND or time_s < taken_s, "it was flown by somebody else then"
-    take_over(vehicles[0].address)  # nobody is there: nothing happens
+        assert data != LAND or time_s < taken_s, "another driver flew it then"
+    take_over(vehicles[0].address)  # without a keeper nothing happens
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can stop being root")

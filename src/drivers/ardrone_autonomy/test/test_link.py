@@ -126,7 +126,7 @@ def test_wakes_the_vehicle_up_until_it_answers():
     bench.speaks = False
     bench.run(1.2)
     assert len(bench.wake_ups) == 5  # at once, then every 0.25 s
-    assert not bench.datagrams  # nobody is piloted who is not there
+    assert not bench.datagrams  # an absent vehicle is not piloted
     assert bench.link.phase is Phase.SEARCHING
 
 
@@ -421,7 +421,7 @@ def test_a_reset_during_silence_is_held_as_long_as_any_other(bench):
     assert not bench.ref & at.Ref.START
     bench.run(0.1)
     assert bench.ref == at.Ref.PADDING
-    assert "not known" in bench.texts("warn")[-1]
+    assert "is unknown" in bench.texts("warn")[-1]
 
 
 def test_a_lost_vehicle_is_sent_a_reset_blind(bench):
@@ -662,7 +662,7 @@ def test_orders_that_came_while_the_driver_stood_still_are_old(bench, duration_s
     bench.run(0.1)
     assert bool(bench.ref & at.Ref.START) == (not deaf)
     assert bench.sticks == (HOVER if deaf else FORWARD)
-    assert bool([text for text in bench.texts("warn") if "stood still for 3.0 s, and the order" in text]) == deaf
+    assert bool([text for text in bench.texts("warn") if "suspended for 3.0 s, and the order" in text]) == deaf
     bench.run(0.4)
     bench.order(bench.link.take_off)
     bench.order(bench.link.steer, FORWARD)

@@ -73,7 +73,7 @@ def test_joining_in_a_stall_corrects_itself():
     flight = Flight(10.0, stalls=[(0.0, 1.0)])
     clock = ExposureClock(LATENCY_S)
     error_s = flight.results(clock) - flight.exposure_s
-    assert error_s[0] > 0.5  # nobody can know better
+    assert error_s[0] > 0.5  # it cannot be known better
     assert np.abs(error_s[45:]).max() < 0.002
     assert clock.restarts == 0
 

@@ -198,14 +198,14 @@ def test_a_silent_connection_is_given_up(address, monkeypatch):
         camera.silent = True
         monkeypatch.setattr(video_stream, "SILENCE_S", 0.4)
         wait_for(lambda: viewer.stream.connections >= 3)
-        assert ["nothing comes" in text for text in viewer.texts("warn")] == [True]
+        assert ["nothing arrives" in text for text in viewer.texts("warn")] == [True]
         camera.silent = False
         viewer.wait_for_more()
 
 
 def test_an_address_that_does_not_answer():
     address = free_address()
-    full = socket.create_server((address, VIDEO_PORT), backlog=0)  # accepts nobody: its queue is full
+    full = socket.create_server((address, VIDEO_PORT), backlog=0)  # accepts no client: its queue is full
     fillers = [socket.socket() for _ in range(3)]
     try:
         for filler in fillers:

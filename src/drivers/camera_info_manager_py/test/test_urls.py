@@ -37,12 +37,12 @@ def test_path_in_a_package():
 @pytest.mark.parametrize(
     ("url", "cause"),
     [
-        ("risc1.yaml", "no calibration URL"),
-        ("/etc/risc1.yaml", "no calibration URL"),
-        ("file://relative.yaml", "no calibration URL"),
-        ("http://example.org/x.yaml", "no calibration URL"),
-        ("package://sensor_msgs", "no calibration URL"),
-        ("package:///x.yaml", "no calibration URL"),
+        ("risc1.yaml", "not a calibration URL"),
+        ("/etc/risc1.yaml", "not a calibration URL"),
+        ("file://relative.yaml", "not a calibration URL"),
+        ("http://example.org/x.yaml", "not a calibration URL"),
+        ("package://sensor_msgs", "not a calibration URL"),
+        ("package:///x.yaml", "not a calibration URL"),
         ("package://no_such_package_anywhere/x.yaml", "no_such_package_anywhere"),
         ("file:///${HOME}/x.yaml", "only the variables"),
     ],

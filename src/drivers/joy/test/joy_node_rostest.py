@@ -47,7 +47,7 @@ class JoyNodeTest(unittest.TestCase):
         path = pathlib.Path(rospy.get_param("/joy_node/dev"))
         joy = Listener("joy", Joy)
         diagnostics = Listener("/diagnostics", DiagnosticArray)
-        wait_for(lambda: publishers_heard(joy.subscriber), "somebody publishes joy")
+        wait_for(lambda: publishers_heard(joy.subscriber), "a publisher of joy")
         diagnostics.wait_for(status_is(2), "status 'not open' while the device is missing")
 
         os.mkfifo(str(path))

@@ -193,7 +193,7 @@ def test_a_camera_is_asked_for_what_the_settings_say(camera_path):
         cv2.CAP_PROP_FRAME_WIDTH: 640,
         cv2.CAP_PROP_FRAME_HEIGHT: 480,
         cv2.CAP_PROP_FPS: 30.0,
-    }, "controls that nobody has changed are left alone"
+    }, "unchanged controls are left alone"
     (note,) = source.notes
     assert "gives 320 x 240 instead of 640 x 480" in note
     assert next_picture(source).shape == (240, 320, 3)

@@ -114,10 +114,10 @@ class UvcCamTest(unittest.TestCase):
         answer = rospy.ServiceProxy("/video/camera/set_camera_info", SetCameraInfo)(calibration(640, 480, 600.0))
         self.assertTrue(answer.success, answer.status_message)
         infos = Listener("/video/camera/camera_info", CameraInfo)
-        self.log.wait_for(lambda entry: "another size" in entry.msg, "the warning")
+        self.log.wait_for(lambda entry: "is not for the pictures' size" in entry.msg, "the warning")
         info = infos.wait_for(lambda m: True, "camera_info", len(infos.messages) + 20)
         self.assertEqual((info.width, info.height, info.K[0], len(info.D)), (80, 60, 0.0, 0))
-        self.assertEqual(len(self.complaints("another size")), 1)
+        self.assertEqual(len(self.complaints("is not for the pictures' size")), 1)
 
     def test_4_settings_change_while_it_runs(self):
         images = Listener("/folder/camera/image_raw", Image)

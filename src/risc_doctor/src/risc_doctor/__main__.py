@@ -15,9 +15,9 @@ WRONG_USE = 2
 _GOODBYE_S = 2.0
 _ALIASES = {"drone": "vehicles", "drones": "vehicles", "clocks": "clock"}
 _LAST_LINE = {
-    GREEN: "It can fly",
-    "yellow": "It can fly, as far as can be seen; look at what is yellow",
-    RED: "It cannot fly: begin with the first red line",
+    GREEN: "Ready to fly",
+    "yellow": "Ready to fly; check what is yellow",
+    RED: "Not ready to fly: start with the first red line",
 }
 
 
@@ -26,22 +26,22 @@ def arguments(argv):
     width = max(map(len, CHECKS))
     parser = argparse.ArgumentParser(
         prog="maap doctor",
-        description="Why does it not fly? Looks at everything that can be the reason and says the cure.",
+        description="Why does it not fly? Checks everything that can be the reason and says how to fix it.",
         epilog="checks:\n" + "\n".join("  %s  %s" % (name.ljust(width), what) for name, (what, _) in CHECKS.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    fleet_help = "fleet file (default: the fleet of the graph that runs, else %s)" % DEFAULT_FLEET
+    fleet_help = "fleet file (default: the fleet of the running graph, else %s)" % DEFAULT_FLEET
     add("fleet", nargs="?", type=pathlib.Path, metavar="FLEET.yaml", help=fleet_help)
     add("--only", metavar="CHECK,...", help="these checks only")
     add("--json", action="store_true", help="findings as JSON: a list, in one line")
     add("--bag-folder", type=pathlib.Path, metavar="DIR", help="where bags go (default: flights/)")
-    joystick_help = "devices that must be there, e.g. /dev/input/js0"
+    joystick_help = "devices that must be present, e.g. /dev/input/js0"
     add("--joystick", nargs="+", action="extend", default=[], metavar="DEVICE", help=joystick_help)
     vehicle_help = "vehicles that this computer flies, by name or address (default: all that it can reach)"
     add("--vehicle", "--drone", nargs="+", action="extend", default=[], metavar="VEHICLE", help=vehicle_help)
     add("--live", action="store_true", help="ask Cortex for its live mode first, as stream_markers does")
-    add("--axes", metavar="VEHICLE", help="move a vehicle along +x, +y, +z by hand: does motion capture see that?")
+    add("--axes", metavar="VEHICLE", help="move a vehicle along +x, +y, +z by hand: does motion capture see the same?")
     args = parser.parse_args(argv)
     names = list(CHECKS) if args.only is None else args.only.replace(",", " ").split()
     args.only = [_ALIASES.get(name, name) for name in names]
@@ -81,7 +81,7 @@ def main(argv=None):
 
 
 def _say(what):
-    """Print a text, or findings, at once; a reader that has gone is no error: `maap doctor | head`."""
+    """Print a text, or findings, at once; a reader that has gone is not an error: `maap doctor | head`."""
     try:
         (print if isinstance(what, str) else print_findings)(what)
         sys.stdout.flush()

@@ -8,21 +8,21 @@ from risc_doctor.axes import WAYS, judge_moves
 from risc_doctor.cortex_probe import EndpointConnection, probe
 from risc_doctor.findings import Findings, FoundError
 
-_LOOK_S = 0.5  # mean of so many seconds
+_LOOK_S = 0.5  # averaging time
 _BRIEFLY_S = 0.3  # is the host there at all?
 
 
 def position_m(connection, name, metres_per_unit, look_s):
     """Where the body is now: (3,) [m], NaN unless every marker is seen now and then: the middle of fewer is elsewhere.
 
-    Raises FoundError when no frame comes, or none with it.
+    Raises FoundError when no frame arrives, or none with it.
     """
     connection.forget_stream()
     frames = [frame for _, frame in connection.stream(look_s, look_s)]
     if len(frames) < 2:
         frames = list(filter(None, (connection.poll() for _ in range(5))))
     if not frames:
-        raise FoundError("axes", "body_unseen", error="no frame comes from Cortex")
+        raise FoundError("axes", "body_unseen", error="no frames arrive from Cortex")
     shown = [body.markers_mm for frame in frames for body in frame.bodies if body.name == name]
     if not shown:
         names = ", ".join(body.name for body in frames[-1].bodies)

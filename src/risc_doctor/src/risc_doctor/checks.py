@@ -25,18 +25,18 @@ CHECKS = {
     "network": ("network cards, subnets, the way to Cortex and to the vehicles", network.check),
     "subnets": ("whether each network card is in a network of its own", network.check_subnets),
     "multicast": ("the group of the mocap stream", network.check_multicast),
-    "ports": ("ports that are taken or not allowed, other drivers", ports.check),
+    "ports": ("ports that are in use or not allowed, other drivers", ports.check),
     "cortex": ("motion capture: there, live, rate, loss, units", cortex.check),
     "templates": ("bodies of Cortex against the fleet and templates.yaml", cortex.check_templates),
     "axes": ("the mocap frame: size, handedness, up, place", cortex.check_axes),
-    "load": ("whether this computer has time for a flight", load.check),
-    "clock": ("what keeps the clock; age of the stamps", clock_agreement.check),
+    "load": ("whether this computer is too busy for a flight", load.check),
+    "clock": ("what synchronises the clock; age of the stamps", clock_agreement.check),
     "vehicles": ("vehicles: reachable, state, battery", vehicles.check),
     "joystick": ("joysticks: there, readable, buttons and axes", joystick.check),
     "serial": ("serial lines to boards: there, answered, and why not", serial_lines.check),
     "disk": ("room and write speed for the bag", disk.check),
     "ros": ("ROS_MASTER_URI, ROS_IP, dead nodes", ros_environment.check),
-    "graph": ("rates and /diagnostics of a graph that runs", ros_graph.check),
+    "graph": ("rates and /diagnostics of a running graph", ros_graph.check),
 }
 
 

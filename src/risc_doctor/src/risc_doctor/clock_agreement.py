@@ -14,13 +14,13 @@ _CHRONYC_PATIENCE_S = 2.0
 # and the failsafe gives up one of 100 ms: clocks may take half of what is left. Up to 5 ms, latencies between
 # computers mean something.
 GOOD_S, BAD_S = 0.005, 0.020
-_TIME_ERROR = 5  # sys/timex.h: what adjtimex returns for a clock that nothing keeps
+_TIME_ERROR = 5  # sys/timex.h: what adjtimex returns for a clock that nothing synchronises
 _TIMEX_BYTES = 512  # more than struct timex has
 
 
 @dataclass(frozen=True)
 class ClockState:
-    """What keeps this computer's clock, and how well."""
+    """What synchronises this computer's clock, and how well."""
 
     source: str  # "chrony", "kernel" (some NTP client set it) or "none"
     synchronised: bool
@@ -30,12 +30,12 @@ class ClockState:
 
 
 def check(situation):
-    """Who keeps the clock; and the age of the stamps when a graph runs."""
+    """What synchronises the clock; and the age of the stamps when a graph runs."""
     return [judge(read_clock(), situation.simulated), *judge_stamps(situation.graph().topics)]
 
 
 def judge(state, one_computer=False):
-    """Finding about who keeps the clock."""
+    """Finding about what synchronises the clock."""
     level = None
     if state.synchronised and state.source == "chrony":
         code = "chrony" if abs(state.offset_s) <= GOOD_S else "chrony_far"
@@ -64,7 +64,7 @@ def judge_stamps(topics):
 
 
 def read_clock():
-    """ClockState of this computer: what chrony says, else what the kernel was told by who sets its clock."""
+    """ClockState of this computer: what chrony says, else what its NTP client told the kernel."""
     command, quiet = ["chronyc", "-c", "tracking"], subprocess.DEVNULL
     with contextlib.suppress(OSError, subprocess.SubprocessError):
         told = subprocess.check_output(command, stdin=quiet, stderr=quiet, text=True, timeout=_CHRONYC_PATIENCE_S)

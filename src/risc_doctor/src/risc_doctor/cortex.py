@@ -35,7 +35,7 @@ def judge(mocap, report):
     elif report.live and report.listeners and not report.stream_error:
         found.say("sent_to_others", stream=stream, listeners=", ".join(report.listeners))
     elif report.live:
-        found.say("no_stream", why=report.stream_error or "nothing comes in on " + stream)
+        found.say("no_stream", why=report.stream_error or "nothing arrives on " + stream)
     else:
         found.say("not_live")
     return found

@@ -11,7 +11,7 @@ from risc_doctor.findings import GREEN, RED, YELLOW, Findings, finding
 BASE_MB_S = 0.5
 VEHICLE_MB_S = 1.0
 RED_MINUTES, YELLOW_MINUTES = 10.0, 60.0
-_RESERVE = 2.0  # the disk must be so much faster than the bag, for the moments in which it is not
+_RESERVE = 2.0  # by this factor the disk must be faster than the bag, as its speed varies
 _MB = 1e6
 _TEST_BYTES = 64 * 1024 * 1024
 _PIECE_BYTES = 4 * 1024 * 1024
@@ -57,7 +57,7 @@ def judge_speed(folder, speed_mb_s, need_mb_s):
 
 def write_speed_mb_s(folder, size):
     """MB/s of a file that reaches the disk and is removed again. Raises OSError."""
-    piece = os.urandom(_PIECE_BYTES)  # nothing that a file system could squeeze
+    piece = os.urandom(_PIECE_BYTES)  # not compressible by a file system
     written, start = 0, time.monotonic()
     with tempfile.TemporaryFile(dir=folder, buffering=0) as stream:
         while written < max(size, _PIECE_BYTES) and time.monotonic() - start < _LONGEST_S:

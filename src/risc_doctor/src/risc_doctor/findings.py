@@ -1,6 +1,6 @@
 """What checks have found: green, yellow or red, in one sentence, with the cure. For `maap doctor` and `machines`.
 
-The sentences stand in config/findings.yaml, by check and code.
+The sentences are in config/findings.yaml, by check and code.
 """
 
 import functools

@@ -47,7 +47,7 @@ def look(path, needed):
 
 
 def judge(path, name, buttons, axes, needed):
-    """Finding about a joystick with so many buttons and axes. needed: highest index of each."""
+    """Finding about a joystick with these numbers of buttons and axes. needed: highest index of each."""
     button, axis = needed
     code = "short" if buttons <= button or axes <= axis else "good"
     return finding("joystick", code, path=path, name=name, buttons=buttons, axes=axes, button=button, axis=axis)

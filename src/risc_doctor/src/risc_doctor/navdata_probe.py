@@ -46,7 +46,7 @@ def probe(address, patience_s=PATIENCE_S):
                         if demo is not None:
                             return VehicleReport(state=state, battery_pct=float(demo.vbat_flying_percentage))
         except ConnectionRefusedError:
-            return VehicleReport("the address is there, but nothing listens on udp %d" % NAVDATA_PORT)
+            return VehicleReport("the address answers, but nothing listens on udp %d" % NAVDATA_PORT)
         except OSError as error:
             return VehicleReport(error.strerror or str(error))
     return VehicleReport("no telemetry within %g s" % patience_s) if state is None else VehicleReport(state=state)

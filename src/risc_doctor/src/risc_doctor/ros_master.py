@@ -1,4 +1,4 @@
-"""The ROS master and its nodes, asked with patience that ends. Needs no ROS."""
+"""The ROS master and its nodes, queried with timeouts. Needs no ROS."""
 
 import concurrent.futures
 import contextlib
@@ -17,11 +17,11 @@ DEFAULT_URI = "http://localhost:11311"
 
 
 class MasterError(Exception):
-    """The master, or a node, does not give an answer; the text says why."""
+    """The master, or a node, does not answer; the text says why."""
 
 
 class NobodyThereError(MasterError):
-    """The computer is there, and no program has the port."""
+    """The computer is there, but nothing listens on the port."""
 
 
 class SilentError(MasterError):
@@ -58,7 +58,7 @@ def call(uri, method, *arguments, caller=(CALLER,), patience_s=CALL_PATIENCE_S):
     except ConnectionRefusedError:
         raise NobodyThereError("nothing listens at %s" % uri) from None
     except xml.parsers.expat.ExpatError:
-        raise MasterError("what answers at %s is no ROS program" % uri) from None
+        raise MasterError("what answers at %s is not a ROS program" % uri) from None
     except (OSError, http.client.HTTPException, xmlrpc.client.Error, ValueError, TypeError) as error:
         raise MasterError("%s: %s" % (uri, error or type(error).__name__)) from None
     if code != 1:
@@ -84,7 +84,7 @@ def host_and_port(uri):
     """(host, port) of a URI such as http://risc1:11311. Raises ValueError when it is none."""
     parts = urllib.parse.urlsplit(uri)
     if parts.scheme != "http" or not parts.hostname or not parts.port:
-        raise ValueError("%r is no address of a ROS master (http://HOST:11311)" % uri)
+        raise ValueError("%r is not the address of a ROS master (http://HOST:11311)" % uri)
     return parts.hostname, parts.port
 
 

@@ -60,7 +60,7 @@ class Situation:
         return tuple(map(self._vehicle, self.wanted)) or self.fleet.vehicles
 
     def _vehicle(self, word):
-        """The fleet's vehicle of this name or address; an address that says not which of them is a vehicle, too."""
+        """The fleet's vehicle of this name or address; an address that several have is a vehicle, too."""
         at_address = [vehicle for vehicle in self.fleet.vehicles if vehicle.address == word]
         for vehicle in self.fleet.vehicles:
             if word in (vehicle.namespace, vehicle.template) or [vehicle] == at_address:
@@ -82,7 +82,7 @@ def workspace_root(environment):
 
 
 def look_around(fleet_path, environment, **options):
-    """The Situation. fleet_path: None = the fleet of the graph that runs, else the virtual lab's. Raises ValueError."""
+    """The Situation. fleet_path: None = the fleet of the running graph, else the virtual lab's. Raises ValueError."""
     root, content = workspace_root(environment), None
     try:
         options["master"] = master = Master(environment.get("ROS_MASTER_URI") or DEFAULT_URI)
@@ -92,7 +92,7 @@ def look_around(fleet_path, environment, **options):
     except MasterError as problem:
         options |= {"master_error": str(problem), "nobody_there": isinstance(problem, NobodyThereError)}
     if content is not None:
-        fleet, source = fleet_from_dict(content, "parameter /fleet"), "/fleet of the graph that runs (%s)" % master.uri
+        fleet, source = fleet_from_dict(content, "parameter /fleet"), "/fleet of the running graph (%s)" % master.uri
     else:
         fleet, source = load_fleet(fleet_path or root / DEFAULT_FLEET), str(fleet_path or DEFAULT_FLEET)
     return Situation(fleet, source, root, environment, **options)

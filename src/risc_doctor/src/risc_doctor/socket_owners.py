@@ -34,7 +34,7 @@ def users_of_port(port, kind="udp", from_elsewhere=False):
     pids = _holders(port, kind, from_elsewhere)
     if None in pids:  # perhaps another check of ours opened it while we looked
         pids = _holders(port, kind, from_elsewhere)
-    names = {"a program of another user (sudo ss -lnptu tells which)"} if None in pids else set()
+    names = {"a program of another user (sudo ss -lnptu shows which)"} if None in pids else set()
     for pid in pids - {None, os.getpid()}:
         with contextlib.suppress(psutil.NoSuchProcess):  # it ended meanwhile
             names.add(_process(psutil.Process(pid)).describe())
@@ -52,7 +52,7 @@ def _holders(port, kind, from_elsewhere):
 
 
 def users_of_device(path):
-    """Every `Process` that has a device file open; those of other users are not seen, nor what is no device."""
+    """Every `Process` that has a device file open; those of other users are not seen, nor are other files."""
 
     def device_of(name):
         with contextlib.suppress(OSError):  # it is not there, not ours to see, or closed meanwhile

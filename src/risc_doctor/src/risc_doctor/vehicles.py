@@ -74,7 +74,7 @@ def judge(name, way, state, battery_pct, limit_pct=SafetyLimits.battery_min_pct)
     for bit, code in _TROUBLE.items():
         if state & bit:
             found.say(code, name=name)
-    values = {"name": name, "way": way + (", flies" if state & State.FLYING else ""), "battery_pct": battery_pct}
+    values = {"name": name, "way": way + (", flying" if state & State.FLYING else ""), "battery_pct": battery_pct}
     if battery_pct is None:
         return found.say("no_battery", **values)
     if battery_pct <= limit_pct:

@@ -1,4 +1,4 @@
-"""What happens to a stream of stamps when a clock is set, or a bag is played again: one rule for everybody. No ROS."""
+"""What happens to a stream of stamps when a clock is set, or a bag is played again: one rule for all. No ROS."""
 
 import enum
 import math
@@ -17,7 +17,7 @@ _APART = 0.75  # of the usual step: the stamps of another clock come nearer to t
 class Step(enum.IntEnum):
     """What a stamp is to its stream. Only `REFUSED` is false."""
 
-    REFUSED = 0  # it does not advance, or is no number; as if it had not come
+    REFUSED = 0  # it does not advance, or is not a number; as if it had not come
     ADVANCES = 1
     NEW_CLOCK = 2  # it advances on a new clock: what is known from before has times that mean nothing now
 
@@ -29,7 +29,7 @@ class ClockGuard:
     """Tells the stamps of one stream that advance from those that do not, and notices when their clock was set.
 
     One stamp that falls back, or that is far ahead, may be a straggler or damage. It is refused. `AGREEING` of them in
-    a row, each a step ahead of the one before, are a clock that was set or a bag that begins again: the last of them is
+    a row, each a step ahead of the one before, are a clock that was set or a restarted bag: the last of them is
     accepted, and what follows it. Until then a stamp of the old clock goes on with that.
 
     Stamps that a delay explains do not count as such, however many: each is up to `LATE_S` old and fills a gap that
@@ -37,7 +37,7 @@ class ClockGuard:
     """
 
     def __init__(self, longest_step_s=10.0):
-        """longest_step_s: a larger step ahead is no silence but a jump [s]; infinite for streams that may pause."""
+        """longest_step_s: a larger step ahead is not a pause but a jump [s]; infinite for streams that may pause."""
         if not longest_step_s > 0.0:
             raise ValueError("the longest step must be > 0 s, got %r" % (longest_step_s,))
         self._longest_step_s = min(longest_step_s, sys.float_info.max)

@@ -44,7 +44,7 @@ class CommandHistory:
     """The newest commands of each vehicle of a fleet. Times: one clock, that of the sender."""
 
     def __init__(self, vehicles, rows=ROWS):
-        """vehicles: how many. rows: so many commands of each are kept."""
+        """vehicles: how many. rows: how many commands of each are kept."""
         self.vehicles = np.zeros(vehicles, history_of(rows))
         if vehicles:  # loads what is compiled
             self.append(0, 0.0, np.zeros(CHANNELS))
@@ -73,7 +73,7 @@ class CommandHistory:
         return history.commands[last_by(history, time_s, history.newest) % len(history.times_s)].copy()
 
     def held(self, vehicle, times_s, longest_s):
-        """(n, 4) commands in force at times (n,); NaN where the last one was sent longer ago, or nobody knows it."""
+        """(n, 4) commands in force at times (n,); NaN where the last one was sent longer ago, or is unknown."""
         history = self.vehicles[vehicle]
         rows = np.arange(history.oldest, history.newest + 1) % len(history.times_s)
         sent_s = history.times_s[rows]

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 # Divisions by zero give inf or NaN, as in numpy; the arithmetic is that of Python to the last bit (no fastmath).
-# Nobody in C calls it, so it needs no entry for that: a seventh of the time that compiling takes.
+# It is not called from C, so it needs no entry for that: a seventh of the time that compiling takes.
 compiled = numba.njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)
 
 

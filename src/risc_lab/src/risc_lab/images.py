@@ -27,7 +27,7 @@ _ENCODINGS["yuv422"] = ("u1", 2, cv2.COLOR_YUV2BGR_UYVY)
 
 
 class PictureError(ValueError):
-    """What gives no picture, with the cause and, where there is one, the cure."""
+    """Not a usable picture, with the cause and, where there is one, the cure."""
 
 
 def picture_from_msg(message):
@@ -52,7 +52,7 @@ def picture_from_msg(message):
         raise PictureError("it is empty (%d x %d)" % (width, height))
     if message.encoding not in _ENCODINGS:
         raise PictureError(
-            "its encoding '%s' cannot become a colour picture; publish one of %s"
+            "its encoding '%s' cannot be converted to colour; publish one of %s"
             % (message.encoding, ", ".join(_ENCODINGS))
         )
     number, channels, conversion = _ENCODINGS[message.encoding]

@@ -7,7 +7,7 @@ class MessageAges:
     """Ages by stamp, corrected for a clock of ours that is behind.
 
     No message is received before it was sent: an age below zero is a difference of the clocks, and without
-    correction every later message would pass for that much younger than it is. A clock that is ahead makes messages
+    correction every later message would seem that much younger than it is. A clock that is ahead makes messages
     older than they are, which is on the safe side and looks like a slow network, so it stays.
     """
 

@@ -1,6 +1,6 @@
-"""Who goes first when the computer is busy: root, and whose limit allows it (RLIMIT_NICE; `./maap setup` says how).
+"""Which programs go first on a busy computer: for root, or where RLIMIT_NICE allows it (`./maap setup` says how).
 
-For all others nothing changes.
+For other users nothing changes.
 
 Linux divides the processor among sessions first and among their threads then (autogroup, on by default), and roslaunch
 gives every node a session of its own: a niceness alone says nothing to the other nodes. So the leader of a session sets
@@ -13,7 +13,7 @@ import os
 VIRTUAL_LAB = -10  # it stands for other computers with their own processors
 FLIGHT = -5  # what lies between the frame and the command
 
-_AUTOGROUP = "/proc/self/autogroup"  # not there when the kernel does not divide so
+_AUTOGROUP = "/proc/self/autogroup"  # missing when the kernel has no autogroups
 
 
 def raise_priority(niceness):

@@ -17,7 +17,7 @@ class Registry:
     A member of the tree is PACKAGE/NAME.py and config/KIND/NAME.yaml of its ROS package. One from elsewhere, e.g. a
     student's, is KIND/NAME.py and KIND/NAME.yaml in a folder that the environment variable RISC_MAAP_MEMBERS names
     (several: with ":" between). It is imported as a module of the same package, so it takes part in everything as one
-    of the tree does; a name that the tree has already is an error. Modules whose name begins with _ are no members.
+    of the tree does; a name that the tree has already is an error. Modules whose name begins with _ are not members.
 
         REGISTRY = Registry("controllers", __name__)    # in risc_control/controllers/__init__.py
         REGISTRY.module("lqr").Controller(...)

@@ -1,4 +1,4 @@
-"""Settings as dataclasses: a class says once what there is to set, of which type, within which limits, by default what.
+"""Settings as dataclasses: a class defines once each setting's name, type, limits and default.
 
     @dataclass(frozen=True)
     class ArrowParams(Settings):
@@ -8,9 +8,9 @@
 
     settings_from(ArrowParams, {"rate_hz": 10}, "parameters of draw_arrows")
 
-The content of a file, of the parameter server or of a command line goes through `settings_from`, which takes nothing of
-the wrong type, outside of its limits or misspelt; fields that are dataclasses themselves are nested mappings. What is
-made in a program has its limits checked as well. Each problem is one ValueError that names the key.
+The content of a file, of the parameter server or of a command line goes through `settings_from`, which rejects values
+of the wrong type or outside their limits, and misspelt keys; fields that are dataclasses are nested mappings.
+What is made in a program has its limits checked as well. Each problem is one ValueError that names the key.
 """
 
 import functools

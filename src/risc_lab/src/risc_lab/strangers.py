@@ -1,6 +1,6 @@
-"""Who speaks to a port of ours and has no business there: refused, counted, and named once. No ROS.
+"""Senders to a port of ours that are not allowed: refused, counted, and named once. No ROS.
 
-Senders are told apart by their addresses. Whoever forges one is taken for its owner: see docs/security.md.
+Senders are told apart by their addresses. A forged address is taken for its owner's: see docs/security.md.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ from collections import Counter
 
 MAX_NAMED = 16  # addresses of one port; the senders of a flood are as many as they like
 SEEN = 64  # datagrams of strangers that the program looks at before the kernel refuses them
-SAMPLE = 1024  # of those that the kernel refuses one in so many gets through all the same, so that it can be named
+SAMPLE = 1024  # of those that the kernel refuses, one in this many gets through all the same, so that it can be named
 
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER, _SO_MEMINFO = 26, 27, 55  # asm-generic/socket.h; Python has no names for them
 _MEMINFO = struct.Struct("=9I")  # the last is how many datagrams were not taken
@@ -24,16 +24,16 @@ _ALL_BYTES = 0x40000
 
 
 class Strangers:
-    """Those who were refused by one port. To be used by one thread; others may read."""
+    """Those that were refused by one port. To be used by one thread; others may read."""
 
     def __init__(self, report, port):
         """report: function (level, text).  port: its name, for people."""
         self._report, self._port = report, port
-        self.count = 0  # how often somebody was refused
-        self._times = Counter()  # by address, None: those who are too many to name
+        self.count = 0  # how often a sender was refused
+        self._times = Counter()  # by address, None: those that are too many to name
 
     def refuse(self, address, cure=""):
-        """Somebody was refused. cure: what to do when he is no stranger; said with his address, once."""
+        """A sender was refused. cure: what to do if it should be allowed; said with its address, once."""
         if address not in self._times:
             if len(self._times) >= MAX_NAMED:
                 address = None
@@ -44,7 +44,7 @@ class Strangers:
         self.count += 1
 
     def __str__(self):
-        """Who, how often."""
+        """Which addresses, how often."""
         times = self._times.copy()
         others = times.pop(None, 0)
         named = ["%s: %d" % item for item in times.most_common()] + ["others: %d" % others] * bool(others)
@@ -52,7 +52,7 @@ class Strangers:
 
 
 class Guests:
-    """Who may connect to a port that listens: this computer, and who was named."""
+    """Which may connect to a port that listens: this computer, and the addresses given."""
 
     def __init__(self, texts=()):
         """texts: addresses, and networks such as A.B.C.0/24. Raises ValueError."""
@@ -90,7 +90,7 @@ class OneSender:
         self._seen, self._closed_at = 0, None  # what the kernel had not taken when it was told to refuse
 
     def hear(self, address, port=None):
-        """From now on this IPv4 address, from any port or from one, is heard and nobody else."""
+        """From now on this IPv4 address, from any port or from one, is heard and no other."""
         self._address, self._port, self._seen = address, port, 0
         if self._closed_at is not None:
             self._closed_at = None

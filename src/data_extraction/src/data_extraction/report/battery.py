@@ -8,7 +8,7 @@ from data_extraction.samples import Samples
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 
 _ROWS = 4000  # that are drawn
-_GAP_S = 2.0  # it is silent for longer: nobody knows what happened meanwhile
+_GAP_S = 2.0  # silent for longer: what happened meanwhile is unknown
 
 
 @dataclass

@@ -4,12 +4,13 @@ from types import SimpleNamespace
 
 from data_extraction.bearing_errors import ANGLES
 from data_extraction.flight_metrics import FlightCollector
+from data_extraction.report.airframes import vehicle_types
 from data_extraction.report.battery import BatteryCollector
 from data_extraction.report.computers import ComputerCollector
 from data_extraction.report.drops import DropCollector
 from data_extraction.report.events import EventCollector
 from data_extraction.report.faults import FaultCollector
-from data_extraction.report.fence import FenceCollector, default_fence
+from data_extraction.report.fence import FenceCollector
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.snapshots import SnapshotCollector
@@ -26,13 +27,14 @@ class ReportCollector:
         self._bag, self._origin = bag, origin
         self.flight = FlightCollector(origin.fleet, with_bearings=bool(bag.topics.get(ANGLES)))
         arena = origin.fleet.arena if origin.fleet else Arena()
+        types, limits = vehicle_types(bag, origin.fleet), SafetyLimits(**fence_of(arena))
         self._parts = {  # by their name in the material
             "drops": DropCollector(arena),
             "gates": GateCollector(),
             "computers": ComputerCollector(),
             "ladder": LadderCollector(),
             "batteries": BatteryCollector(),
-            "margins": FenceCollector(origin.fences(), default_fence(SafetyLimits(**fence_of(arena)))),
+            "margins": FenceCollector(origin.fences(), types, limits),
             "faults": FaultCollector(origin.fleet),
             "events": EventCollector(),
             "snapshots": SnapshotCollector(bag.types, bag.start_s, bag.duration_s),

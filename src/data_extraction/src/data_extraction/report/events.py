@@ -11,8 +11,8 @@ from risc_control.vehicles import told_topics
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
-_AGAIN_S = 3.0  # the same event within so long is the same one, repeated
-_TOGETHER_S = 0.5  # the same event of several vehicles within so long is one of all of them
+_AGAIN_S = 3.0  # the same event within this time is a repetition
+_TOGETHER_S = 0.5  # the same event of several vehicles within this time is one of all of them
 _WARN = 4  # rosgraph_msgs/Log
 
 

@@ -15,8 +15,8 @@ from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause
 
-LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
-FALL_M_S = 2.0  # nobody comes down so fast on purpose
+LANDED_HEIGHT_M = 0.15  # a vehicle on the ground is not higher
+FALL_M_S = 2.0  # no vehicle comes down so fast on purpose
 _NEVER_S = math.inf
 TOLD = "/virtual_lab/told"
 FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
@@ -194,8 +194,8 @@ class FaultCollector(Collector):
     def _hear_operator(self, message):
         stamp_s = seconds(message.header.stamp)
         if stamp_s < self._waited_s:
-            return  # kept for whoever listens since then: of the flight before
-        is_flying = self._course_s is not None and self._landing_s == _NEVER_S  # by an operator who was killed
+            return  # latched since then: of the flight before
+        is_flying = self._course_s is not None and self._landing_s == _NEVER_S  # by an operator that was killed
         if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING and not is_flying:
             self._begin_flight(stamp_s)
         if self._course_s is None and getattr(message, "on_course", False):

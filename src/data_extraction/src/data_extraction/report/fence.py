@@ -20,6 +20,7 @@ class FenceMargin:
     """One vehicle's distance from the net: positive inside."""
 
     fence: Fence
+    type_known: bool = True  # False: its limit and where it could have stopped are unknown
     least_m: float = np.inf  # of the position, over everything
     least_s: float = 0.0  # stamp
     least_place_m: tuple = ()  # (x, y, z) cortex frame
@@ -51,28 +52,31 @@ class FenceCollector(PerName):
 
     topics = ("/cortex_raw",)
 
-    def __init__(self, fences=None, default=None):
-        """fences: {vehicle's template: Fence}.  default: of the others, None = that of an AR.Drone."""
+    def __init__(self, fences=None, types=None, limits=None):
+        """fences: {vehicle's template: Fence}.
+
+        types: {template: VehicleType} of the others.  limits: their SafetyLimits, None = the default ones.
+        """
         super().__init__()
-        self._fences, self._default = fences or {}, default or default_fence()
+        limits = limits or SafetyLimits()
+        others = {template: Fence(limits, vehicle_type) for template, vehicle_type in (types or {}).items()}
+        self._fences = {**others, **(fences or {})}
+        self._unknown = Fence(limits, load_vehicle_type("ardrone"))  # only its net is of use
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)
         for state in message.Obj:
             if state.visible:
-                fence = self._fences.get(state.name, self._default)
-                self.found.setdefault(state.name, FenceMargin(fence)).note(stamp_s, state)
-
-
-def default_fence(limits=None):
-    """Fence of an AR.Drone; limits: SafetyLimits, None = the default ones."""
-    return Fence(limits or SafetyLimits(), load_vehicle_type("ardrone"))
+                if state.name not in self.found:
+                    fence = self._fences.get(state.name)
+                    self.found[state.name] = FenceMargin(fence or self._unknown, type_known=fence is not None)
+                self.found[state.name].note(stamp_s, state)
 
 
 def margin(fence, position_m, velocity_m_s):
     """(margin of the position, of the place where it could have stopped) [m]; both vectors in cortex axes.
 
-    A lower side that lies below the floor is no net: nothing can come near it.
+    A lower side below the floor is not a net: nothing can come near it.
     """
     now_m = stopped_m = np.inf
     low_x, low_y, low_z = fence.limits.fence_min_m

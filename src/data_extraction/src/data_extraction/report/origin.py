@@ -1,5 +1,6 @@
 """Where a bag comes from: what the program that flew wrote beside it, and which parameters that was with."""
 
+import contextlib
 import hashlib
 import json
 import pathlib
@@ -11,6 +12,7 @@ from data_extraction.command_line import fleet_of
 from risc_control.fence import Fence
 from risc_control.safety import SafetyLimits, fence_of
 from risc_lab.lab import Fleet
+from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.settings import settings_from
 
 FLIGHT, PARAMETERS = "flight.yaml", "parameters.yaml"
@@ -76,15 +78,22 @@ class Origin:
 def read_beside(bag_path, fleet_path=None):
     """Origin of a bag: the files in its folder. fleet_path: a fleet file instead of the one there.
 
+    Without a fleet file, the fleet is that of the parameters.
+
     Raises ValueError that names a file that cannot be read.
     """
     bag_path = pathlib.Path(bag_path)
     folder = bag_path.parent
     flight = _mapping(folder / FLIGHT, ("arguments", "versions"))
+    parameters = _mapping(folder / PARAMETERS) if (folder / PARAMETERS).exists() else None
+    fleet = fleet_of(bag_path, fleet_path)
+    if fleet is None and parameters and "fleet" in parameters:
+        with contextlib.suppress(ValueError):  # of another revision: the report does without
+            fleet = fleet_from_dict(parameters["fleet"])
     return Origin(
         flight={key: value for key, value in flight.items() if value is not None},
-        parameters=_mapping(folder / PARAMETERS) if (folder / PARAMETERS).exists() else None,
-        fleet=fleet_of(bag_path, fleet_path),
+        parameters=parameters,
+        fleet=fleet,
         summary=_mapping(folder / SUMMARY),
         lab=_mapping(folder / LAB),
         processors=_mapping(folder / PROCESSORS),
@@ -94,7 +103,7 @@ def read_beside(bag_path, fleet_path=None):
 def parameter_hash(parameters):
     """SHA-256, as hexadecimal text, of parameters (nested dicts) without what only tells one run from another.
 
-    Of the paths in them only the last part counts: another folder is no other parameter.
+    Of paths only the last part counts: another folder does not make another parameter.
     """
     text = yaml.safe_dump(_canonical(parameters), sort_keys=True, default_flow_style=False, allow_unicode=True)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -122,11 +131,11 @@ def _mapping(path, mappings=()):
         content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, json.JSONDecodeError) as error:
         reason = "cannot be read (%s)" % " ".join(str(error).split())  # a parser's takes several lines
-        raise ValueError("%s %s: mend it or move it away from the bag" % (path, reason)) from error
+        raise ValueError("%s %s: fix it or move it away from the bag" % (path, reason)) from error
     if not isinstance(content, dict):
-        raise ValueError("%s holds no mapping of names to values: mend it or move it away from the bag" % path)
+        raise ValueError("%s is not a YAML mapping: fix it or move it away from the bag" % path)
     for key in mappings:
         if not isinstance(content.get(key), (dict, type(None))):
-            words = "%s: %s must be a mapping of names to values: mend it or move it away from the bag"
+            words = "%s: %s must be a mapping: fix it or move it away from the bag"
             raise ValueError(words % (path, key))
     return content

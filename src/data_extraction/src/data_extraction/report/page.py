@@ -23,7 +23,7 @@ ASKED = ("wanted_hz", "given_up")  # of its motion capture, likewise
 
 
 def summary_of(material):
-    """The summary of a bag that nobody judges now: its figures, and what the summary beside it says."""
+    """The summary of a bag that is not judged now: its figures, and what the summary beside it says."""
     beside = material.origin.summary
     experiment = material.origin.flight.get("experiment")
     simulated = material.is_simulated and {}

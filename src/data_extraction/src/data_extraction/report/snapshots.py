@@ -26,7 +26,7 @@ class Snapshot(NamedTuple):
     stamp_s: float
     jpeg: bytes
     found: list[str]  # names of what is drawn in
-    has_regions: bool  # False: nobody looked at this picture
+    has_regions: bool  # False: this picture was not searched
 
 
 class SnapshotCollector(Collector):

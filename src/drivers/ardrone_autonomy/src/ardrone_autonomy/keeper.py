@@ -1,13 +1,13 @@
 """A small process beside the driver: it keeps vehicles hovering when the driver dies or hangs, and then lands them.
 
-The aircraft flies on with its last tilt for a second when nobody commands it, and a driver that is started again
+Without commands the aircraft flies on with its last tilt for a second, and a driver that is started again
 needs longer. It is brought to a stop and then down: one that hovers drifts by some centimetres a second, and its
 neighbours may have lost their driver, too. What it may do is said in memory that both share; it has nothing of the
 driver's that could fail with it. A driver that is started again takes its vehicles over from the keeper of the one that
 died (`take_over`); programs of other users cannot.
 
     hovers  at once when the driver has died, after STALE_S when it hangs
-    lands   HOVER_S later, if nobody has taken over
+    lands   HOVER_S later, if no driver has taken over
 
 This file is both sides: the driver's (`Keeper`), and the process itself, which imports nothing but the standard library
 and is not of the driver's session, so that no signal to the driver reaches it.
@@ -30,7 +30,7 @@ _LOOK_S = 0.05
 _SEND_S = 0.025  # as the driver
 _AT_PORT = 5556
 _END_S = 2.0  # for the process to end
-_MOST_READ = 16  # messages at the door in one look
+_MOST_READ = 16  # messages read at a time
 # Constant numbers: 1 lets the aircraft count from there, so each datagram is accepted, and what the driver sends next.
 _HOVER = b"AT*PCMD_MAG=1,0,0,0,0,0,0,0\r"
 _FLY, _LAND = (_HOVER + b"AT*REF=2,%d\r" % bits for bits in (0x11540200, 0x11540000))
@@ -45,7 +45,7 @@ def _door(address):
 
 
 def take_over(address):
-    """Nobody but us commands the vehicle from now on."""
+    """Only we command the vehicle from now on."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock, contextlib.suppress(OSError):  # there is no keeper
         sock.sendto(b"\0", socket.MSG_DONTWAIT, _door(address))
 

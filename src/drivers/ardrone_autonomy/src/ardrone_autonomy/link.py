@@ -13,7 +13,7 @@ it is sent at once and the tick starts over, so nothing is added to the delay of
 
 Where safety asks for more than the original driver does: the start bit is dropped when the vehicle is lost or has
 rebooted (it would otherwise take off by itself when it comes back), and is set by a driver that finds its vehicle in
-flight (it would land under a driver that was started again); orders that came while the driver stood still are not
+flight (it would land under a driver that was started again); orders that came while the driver was suspended are not
 obeyed, except to land and to stop; a take-off is refused in emergency, and a reset that has no effect is given up
 instead of being held for ever.  Silence does not take the emergency stop away: telemetry
 may be lost while commands still arrive, so a reset is sent blind as well.
@@ -30,12 +30,12 @@ from ardrone_autonomy.protocol.at import CtrlMode
 from ardrone_autonomy.protocol.navdata import HEADER, WAKE_UP, ControlState, Navdata, NavdataError, State, peek
 from ardrone_autonomy.settings import APPLICATION_ID, DRIVER_DEFAULTS, USER_ID
 
-TICK_S = 0.025  # 40 Hz, as the original; the aircraft starts to worry after 50 ms of silence
+TICK_S = 0.025  # 40 Hz, as the original; the aircraft raises COM_WATCHDOG after 50 ms of silence
 MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
 WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent, and again; reduced telemetry comes every 65 ms
 COMMAND_TIMEOUT_S = 0.5  # default: a node that died must not leave its last tilt to fly on
-STALL_S = 0.5  # a driver that was not called for so long stood still: orders to fly of that time are old,
-DEAF_S = 0.3  # and may still come in for so long
+STALL_S = 0.5  # a driver that was not called for this long was suspended: orders to fly of that time are old,
+DEAF_S = 0.3  # and may still arrive for this long
 LOST_S = float(DRIVER_DEFAULTS["com_watchdog"])  # default: silence after which the vehicle counts as lost
 ACK_TIMEOUT_S = 0.5  # a configuration write without answer is repeated after this time
 MAX_WRITE_TRIES = 5
@@ -48,7 +48,7 @@ BOOTSTRAP_PATIENCE_S = 1.0  # bootstrap packets may still come this long after t
 _ACK, _BOOTSTRAP, _COM_WATCHDOG, _EMERGENCY, _FLYING = map(
     int, (State.COMMAND_ACK, State.BOOTSTRAP, State.COM_WATCHDOG, State.EMERGENCY, State.FLYING)
 )
-_MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be sound to its last byte
+_MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be valid to its last byte
 
 _NEVER_S = float("inf")
 _FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
@@ -108,7 +108,7 @@ class DroneLink:
         self.accepted = 0  # packets
         self.configurations = 0  # times that the vehicle was configured: what was written before no longer holds
         self.stale = 0  # packets older than one seen before
-        self.refused = 0  # datagrams that are no navdata, or damaged
+        self.refused = 0  # datagrams that are not navdata, or damaged
         self.connections = 0
         self.unanswered_writes = 0
 
@@ -174,10 +174,10 @@ class DroneLink:
 
     # --- orders of the pilot ------------------------------------------------------------------------------------------
     def stood_still(self, duration_s, now_s):
-        """Nobody has called for so long: the process hung, or the computer slept."""
+        """How long it was not called: the process hung, or the computer slept."""
         if duration_s >= STALL_S:
             self._stood_still_s, self._deaf_until_s = duration_s, now_s + DEAF_S
-            self._report("warn", "the driver stood still for %.1f s" % duration_s)
+            self._report("warn", "the driver was suspended for %.1f s" % duration_s)
 
     def steer(self, sticks, now_s):
         """Fly with these sticks (piloting.Sticks) from now on."""
@@ -197,7 +197,7 @@ class DroneLink:
         elif self.emergency:
             self._report("warn", "take-off refused: the vehicle is in emergency, reset it first")
         elif now_s < self._deaf_until_s:
-            text = "take-off refused: the driver stood still for %.1f s, and the order may be as old. Order it again"
+            text = "take-off refused: the driver was suspended for %.1f s, and the order may be as old. Send it again"
             self._report("warn", text % self._stood_still_s)
         else:
             self._take_off_ordered = True
@@ -212,7 +212,7 @@ class DroneLink:
         """Toggle the emergency state: stops the motors in the air (!), clears an emergency on the ground.
 
         Also sent to a vehicle that has fallen silent, it may still hear; but not when it was in emergency before,
-        as nobody could tell whether the toggle stops or revives it.
+        as it is then unknown whether the toggle stops or revives it.
         """
         if not self.connections:
             self._report("warn", "reset refused: no vehicle has answered yet")
@@ -228,7 +228,7 @@ class DroneLink:
     def flat_trim(self, now_s):
         """Tell the vehicle that it lies flat now; refused in flight."""
         if self.state_bits & _FLYING:
-            self._report("warn", "flat trim refused: the vehicle flies")
+            self._report("warn", "flat trim refused: the vehicle is flying")
             return
         self._send("FTRIM")
 
@@ -280,7 +280,7 @@ class DroneLink:
             return False
         if bits & _COM_WATCHDOG and not bits & _BOOTSTRAP:
             self._watchdog_reset = True
-            self._navdata_sequence = -1  # the vehicle may count anew
+            self._navdata_sequence = -1  # the vehicle may restart its count
         if header.sequence <= self._navdata_sequence:
             self.stale += 1
             return False
@@ -406,7 +406,7 @@ class DroneLink:
             self._select = False
             text = "the reset had no effect: the cause of the emergency persists, or the link is bad"
             if not self.connected:
-                text = "the reset was sent for %.1f s without telemetry, its effect is not known" % RESET_TIMEOUT_S
+                text = "the reset was sent for %.1f s without telemetry, its effect is unknown" % RESET_TIMEOUT_S
             self._report("warn", text)
         self._pilot(self._sticks, self._start, self._select)
         if self._watchdog_reset:
@@ -426,7 +426,7 @@ class DroneLink:
         return self._wanted
 
     def _land_if_forgotten(self, now_s):
-        """Who steered it has ended or hangs, and nobody brings it down."""
+        """The node that steered it has ended or hangs, and nothing else will land it."""
         silent_s = now_s - max(self._wanted_s, self._steered_since_s)
         was_steered = self._wanted_s > float("-inf")
         if self._start and was_steered and 0.0 < self._land_timeout_s < silent_s:

@@ -28,7 +28,7 @@ def sticks_from_velocity(linear, angular):
     """
     six = (*linear, *angular)
     if not all(map(math.isfinite, six)):
-        raise ValueError("cmd_vel holds a value that is not finite: linear %r, angular %r" % (linear, angular))
+        raise ValueError("cmd_vel contains a non-finite value: linear %r, angular %r" % (linear, angular))
     if all(abs(value) < HOVER_THRESHOLD for value in six):
         return HOVER
     forward, left, up, counter_clockwise = (max(-1.0, min(1.0, value)) for value in (*linear, angular[2]))

@@ -2,7 +2,7 @@
 
 Every key that the parameters name is written.  The original driver left out values that equal the SDK's defaults; but
 common keys stay in the aircraft from one client to the next, so that it would keep flying with, say, the outdoor limits
-that somebody's telephone has set.  The driver's own values are written where they differ from the SDK's defaults.
+that a telephone has set.  The driver's own values are written where they differ from the SDK's defaults.
 
 `control:outdoor` comes first, because switching it copies the indoor_ or outdoor_ limits over the active ones; then the
 other common keys, then those that belong to our profiles.  The profiles of earlier runs are deleted before, so that no
@@ -58,7 +58,7 @@ def wire_text(key, value):
 def wanted_texts(parameters):
     """{bare name: wire text} of every key that is to be written.
 
-    parameters: {bare name: value}, all written whatever their value; names that are no key are skipped.  ValueError
+    parameters: {bare name: value}, all written whatever their value; names that are not keys are skipped.  ValueError
     on a bad value.
     """
     values = {**DRIVER_DEFAULTS, **parameters}

@@ -30,7 +30,7 @@ def resolve(host):
         return socket.gethostbyname(host)
     except OSError as error:
         raise ValueError(
-            "%r is no address of a vehicle (%s): pass -ip A.B.C.D or set ~drone_ip" % (host, error)
+            "%r is not the address of a vehicle (%s): pass -ip A.B.C.D or set ~drone_ip" % (host, error)
         ) from None
 
 
@@ -119,7 +119,7 @@ class UdpThread:
     def _run(self):
         try:
             self._loop()
-        except Exception as error:  # whatever it is: without this thread nobody pilots, the node must end
+        except Exception as error:  # whatever it is: nothing pilots without this thread, the node must end
             self._give_last_orders()
             self._on_failure(error)
 

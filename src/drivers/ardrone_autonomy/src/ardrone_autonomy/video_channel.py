@@ -32,7 +32,7 @@ class CameraTracker:
             self._pending += 1
 
     def reset(self, channel):
-        """The vehicle has been configured anew and sends this channel; earlier orders no longer count."""
+        """The vehicle has been configured again and sends this channel; earlier orders no longer count."""
         with self._lock:
             self._ordered = self._camera = channel
             self._pending = 0

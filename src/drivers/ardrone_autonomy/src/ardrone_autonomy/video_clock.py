@@ -53,7 +53,7 @@ class ExposureClock:
         if 0 < step_ms < _WRAP_MS // 2:
             self._elapsed_ms += step_ms
             self._offset_s += MAX_DRIFT * (received_s - self._last_received_s)
-        else:  # the first picture, or the aircraft's clock has started anew
+        else:  # the first picture, or the aircraft's clock has restarted
             self.restarts += self._timestamp_ms is not None
             self._elapsed_ms, self._offset_s, self._unsupported = 0, received_s, None
         self._timestamp_ms, self._last_received_s = timestamp_ms, received_s

@@ -3,7 +3,7 @@
 H.264 is what an AR.Drone 2.0 sends; while it records to its USB key it sends MPEG-4 part 2.
 
 What cannot be shown whole is not shown at all: after a gap in the frame numbers or a damaged picture the decoder would
-go on, with smears where the missing one had changed something, and whoever measures in the pictures would measure
+go on, with smears where the missing one had changed something, and any measurement in the pictures would be of
 smears.  So it waits for the next key picture, which decodes by itself, as it does when it joins in the middle.
 """
 
@@ -29,12 +29,12 @@ def is_key(header):
 
 
 class PictureDecoder:
-    """Decodes the Packets of one stream after the other; a new stream id, codec or size starts it anew."""
+    """Decodes the Packets of one stream after the other; a new stream id, codec or size restarts it."""
 
     def __init__(self):
         self.decoded = 0  # pictures
         self.errors = 0  # damaged pictures
-        self.unusable = 0  # sound, but something that they build upon is missing
+        self.unusable = 0  # valid, but something that they build upon is missing
         self.missing = 0  # pictures that the aircraft or the network has left out
         self.foreign = 0  # pictures of a codec that is neither
         self.waiting = True  # for a key picture
@@ -102,7 +102,7 @@ class PictureDecoder:
     def _decode(self, payload, header):
         """Frame of this very picture; None when it is damaged.
 
-        Damaged parameters may tell the decoder to hold pictures back, which it then does for good, also after sound
+        Damaged parameters may tell the decoder to hold pictures back, which it then does for good, also after valid
         ones: every picture would be an older one. Such a decoder is replaced.
         """
         packet = av.Packet(payload)

@@ -1,6 +1,6 @@
 """The TCP connection to the vehicle's video and the thread that owns it: bytes in, pictures out.
 
-Connects only while somebody wants pictures.  Comes back by itself when the vehicle closes the connection, is not
+Connects only while pictures are wanted.  Comes back by itself when the vehicle closes the connection, is not
 reachable, or sends nothing that can be shown.
 """
 
@@ -19,7 +19,7 @@ from ardrone_autonomy.video_decoder import PictureDecoder, is_key
 
 RETRY_S = 1.0  # between two attempts to connect
 CONNECT_TIMEOUT_S = 3.0
-SILENCE_S = 3.0  # a connection on which nothing comes for so long is given up
+SILENCE_S = 3.0  # a connection on which nothing arrives for this long is given up
 UNUSABLE_S = 10.0  # so is one whose pictures cannot be decoded; the next key picture may take some seconds
 MAX_BACKLOG = 4  # pictures that may wait; of more only the newest are shown
 _READ_BYTES = 1 << 20  # at once, before decoding
@@ -53,9 +53,9 @@ class VideoStream:
     def __init__(self, address, on_picture, report, latency_s=0.0, port=VIDEO_PORT, clock=time.monotonic):
         self.connections = 0
         self.connected = False
-        self.wanted = False  # somebody wants pictures
+        self.wanted = False  # pictures are wanted
         self.shown = 0  # pictures handed out
-        self.skipped = 0  # pictures that were sound, but too many at once
+        self.skipped = 0  # pictures that were valid, but too many at once
         self.last_s = None  # when the last picture was received
         self.clock = ExposureClock(latency_s)
         self.parser = StreamParser()
@@ -108,10 +108,10 @@ class VideoStream:
                 problem = self._stream() if self.wanted else ""
             except Exception as error:  # whatever it is: the vehicle flies without pictures, and they may come back
                 problem = ""
-                self._say("error", "the video has failed and starts again: %r" % error)
+                self._say("error", "the video failed and is restarting: %r" % error)
             if problem and self.wanted:
                 where = (*self._target, problem, RETRY_S)
-                self._say("warn", "no video from %s:%d: %s; trying on every %g s" % where)
+                self._say("warn", "no video from %s:%d: %s; retrying every %g s" % where)
             self._changed.wait(RETRY_S if self.wanted else None)
 
     def _say(self, level, text):
@@ -135,7 +135,7 @@ class VideoStream:
                 self.decoder.waiting = True
                 return self._receive(sock, self.decoder.foreign)
             except TimeoutError:
-                return "nothing comes" if self.connected else "it does not answer"
+                return "nothing arrives" if self.connected else "it does not answer"
             except OSError as error:
                 return os.strerror(error.errno)
             finally:

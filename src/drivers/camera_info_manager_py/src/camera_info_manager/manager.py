@@ -76,14 +76,14 @@ class CameraInfoManager:
                 calibration = read_calibration(path)
             except ValueError as error:
                 if isinstance(error.__cause__, FileNotFoundError):
-                    log = rospy.logwarn if self._url.strip() else rospy.loginfo  # nobody has asked for the default
-                    log("camera %s is not calibrated: there is no file %s", self._name, path)
+                    log = rospy.logwarn if self._url.strip() else rospy.loginfo  # the default was not asked for
+                    log("camera %s is not calibrated: no file %s", self._name, path)
                 else:
                     rospy.logerr("camera %s is not calibrated: %s", self._name, error)
                 return
             if calibration.name != self._name:
                 rospy.logwarn(
-                    "the calibration %s is of a camera named %s, it is used for %s", path, calibration.name, self._name
+                    "the calibration %s is for a camera named %s but used for %s", path, calibration.name, self._name
                 )
             self._info = _message(calibration)
 

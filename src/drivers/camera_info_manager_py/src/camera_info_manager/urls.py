@@ -25,5 +25,5 @@ def path_of(url, name):
     if "${" in resolved:
         raise ValueError("%s: only the variables ${NAME} and ${ROS_HOME} are known" % url)
     if not re.match("file:///.|package://[^/]+/.", resolved):
-        raise ValueError("%r is no calibration URL: write file:///PATH.yaml or package://PACKAGE/PATH.yaml" % resolved)
+        raise ValueError("%r is not a calibration URL: use file:///PATH.yaml or package://PACKAGE/PATH.yaml" % resolved)
     return resolve_url(resolved)

@@ -23,7 +23,7 @@ _INPUT_EVENT = struct.Struct("@llHHi")  # struct input_event: time (ignored when
 
 
 def device_name(fd):
-    """Name of an opened joystick; "" for what is no joystick."""
+    """Name of an opened joystick; "" for any other file."""
     buffer = bytearray(_NAME_BYTES)
     try:
         fcntl.ioctl(fd, _JSIOCGNAME, buffer, True)

@@ -73,7 +73,7 @@ class JoySettings(Settings):
             if value != getattr(self, name)
         ]
         if fraction != self.deadzone:
-            notes[0] += " (1 or more is read as raw units, of which full scale has 32767)"
+            notes[0] += " (1 or more is read as raw units, of which full scale is 32767)"
         if used["autorepeat_rate"] * used["coalesce_interval"] > 1.0:
             notes.append(
                 "autorepeat_rate %(autorepeat_rate)g Hz is faster than one message in coalesce_interval, "

@@ -31,7 +31,7 @@ class CameraSettings(Settings):
     frame_rate: between(1.875, 240.0) = 15.0  # [Hz] asked of a camera; at which files are played
     frame_id: str = "camera"
     camera_info_url: str = ""
-    loop: bool = True  # begin anew at the end of a file or folder
+    loop: bool = True  # start again at the end of a file or folder
     # Controls of a camera in its own units. They are left as the camera has them until they differ from these.
     absolute_exposure: int = 2089  # [100 us]
     exposure: int = 1  # V4L2's mode: 0 automatic, 1 manual, 2 shutter priority, 3 aperture priority
@@ -52,7 +52,7 @@ class CameraSettings(Settings):
             )
         if self.format_mode not in FORMATS:
             raise ValueError(
-                "format_mode is %d, which is no format: set it to 1 (whatever the camera has), 2 (YUYV) or 3 (MJPEG)"
+                "format_mode is %d, an unknown format: set it to 1 (whatever the camera has), 2 (YUYV) or 3 (MJPEG)"
                 % self.format_mode
             )
 

@@ -145,9 +145,9 @@ class VideoSource(_CaptureSource):
 
     def __init__(self, path, settings):
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-        super().__init__(path, capture, "holds a picture that cannot be decoded: the file is damaged")
+        super().__init__(path, capture, "contains a picture that cannot be decoded: the file is damaged")
         if not capture.isOpened():
-            raise SourceError("%s is no video that OpenCV can read: give it an .avi, .mp4 or .mkv" % path)
+            raise SourceError("%s is not a video that OpenCV can read: give it an .avi, .mp4 or .mkv" % path)
         self._loop = settings.loop
         self._pace = _Pace(settings.frame_rate)
         self._read_any = False
@@ -156,7 +156,7 @@ class VideoSource(_CaptureSource):
         self._pace.wait()
         if not self._capture.grab():
             if not self._read_any:
-                raise SourceError("the video %s holds no pictures" % self._path)
+                raise SourceError("the video %s contains no pictures" % self._path)
             if not self._loop:
                 raise NoMorePicturesError("the video %s is at its end" % self._path)
             self._capture.release()
@@ -167,12 +167,14 @@ class VideoSource(_CaptureSource):
 
 
 class CameraSource(_CaptureSource):
-    """A camera by V4L2, at its own pace. Controls that the camera has not are noted."""
+    """A camera by V4L2, at its own pace. Controls that the camera lacks are noted."""
 
     def __init__(self, path, settings, capture_class=cv2.VideoCapture, ioctl=fcntl.ioctl):
         """capture_class, ioctl: replaced in tests."""
         if not os.access(str(path), os.R_OK | os.W_OK):
-            raise SourceError("%s may not be opened by this user: add the user to the group video, log in anew" % path)
+            raise SourceError(
+                "%s may not be opened by this user: add the user to the group video, then log out and in again" % path
+            )
         capture = capture_class(str(path), cv2.CAP_V4L2)
         super().__init__(path, capture, "sent a picture that cannot be decoded: try another format_mode")
         self._ioctl = ioctl

@@ -21,7 +21,7 @@ class ChangedKeyError(Exception):
 def known_keys(strict=False):
     """The host keys that roslaunch believes, as paramiko.HostKeys.
 
-    strict: raises ValueError or InvalidHostKey where a file holds a line that is no entry; the rest of it is not read.
+    strict: raises ValueError or InvalidHostKey where a file has a line that is not an entry; its rest is not read.
     """
     keys, broken = paramiko.HostKeys(), (ValueError, paramiko.hostkeys.InvalidHostKey)  # roslaunch complains of those
     for path in ("/etc/ssh/ssh_known_hosts", os.path.expanduser(FILE)):

@@ -38,7 +38,7 @@ class Answer:
         if self.code is None:
             return "it takes too long"
         lines = (self.err.strip() or self.out.strip()).splitlines()
-        return lines[-1].strip()[:_SENTENCE] if lines else "exit code %d without a word" % self.code
+        return lines[-1].strip()[:_SENTENCE] if lines else "exit code %d, no output" % self.code
 
     def told(self, kind):
         """What a program of ours printed last, JSON of a type. Raises ValueError."""
@@ -99,7 +99,7 @@ def connect(computer):
             raise FoundError("host key", "not_found", name=host_name(address, port)) from None
         if "No authentication methods" in str(error):
             raise FoundError("login", "no_key") from None
-        raise _no_ssh(address, port, str(error) or "it hangs up") from None
+        raise _no_ssh(address, port, str(error) or "it closes the connection") from None
     except OSError as error:
         raise unreachable(error, address, port) from None
     session = Session(client, computer)
@@ -166,7 +166,7 @@ class Session:
         """Run a line of shell. Its standard input stays open: env-loaders take its end for the end of the session."""
         channel = self.channel(line, limit_s + _MARGIN_S)
         with concurrent.futures.ThreadPoolExecutor(1) as reader, contextlib.closing(channel):
-            try:  # both streams at a time: a program waits where nobody reads what it prints
+            try:  # both streams at a time: a program blocks when its output is not read
                 err = reader.submit(channel.makefile_stderr("rb").read)
                 out, err = channel.makefile("rb").read(), err.result()
             except TimeoutError:

@@ -1,4 +1,4 @@
-"""Would topics flow between this computer and another one, in both directions? Connections as nodes make them tell.
+"""Would topics flow between this computer and another one, in both directions? Tested by connections like a node's.
 
 `python -m risc_doctor.machines.topics SECONDS` is the far end and stands for a node on that computer: it prints one
 line of JSON, whether it reaches the master, and where others would find its topics; there it waits for a connection.
@@ -29,7 +29,7 @@ def check(session, here):
             try:
                 there = next(filter(None, map(outcome, channel.makefile("r"))), None)
                 if there is None:
-                    last = channel.makefile_stderr("r").read().strip().splitlines() or ["it prints nothing"]
+                    last = channel.makefile_stderr("r").read().strip().splitlines() or ["it printed nothing"]
                     return Findings("topics").say("no_program", reason=last[-1])
                 return judge(session.computer, uri, there, trouble_with(there["uri"]))
             except TimeoutError:
@@ -37,7 +37,7 @@ def check(session, here):
 
 
 def outcome(line):
-    """What the far end printed, None when it is no such line. An env-loader may have printed before."""
+    """What the far end printed, None when it is not such a line. An env-loader may have printed before."""
     with contextlib.suppress(ValueError):
         found = json.loads(line)
         if isinstance(found, dict) and "master_uri" in found:

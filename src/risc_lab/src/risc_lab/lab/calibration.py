@@ -205,7 +205,7 @@ def save_mount(mount, path):
 
 
 def _replace(path, text):
-    """At one go: half a file is never there, not even when the computer is switched off."""
+    """Atomically: there is never half a file, not even when the computer is switched off."""
     path = pathlib.Path(path).resolve()  # a link stays a link
     temporary = path.with_name("%s.%d" % (path.name, os.getpid()))
     try:

@@ -106,7 +106,7 @@ class FleetVehicle(Settings):
     def links(self):
         """{device of its type: what its driver opens}: those of `devices`, the others at its address.
 
-        Raises ValueError for a device that its type has not, and for one that is nowhere.
+        Raises ValueError for a device that its type does not have, and for one without an address.
         """
         known = self.vehicle_type.devices
         unknown = sorted(set(self.devices) - set(known))
@@ -197,10 +197,10 @@ class Fleet(Settings):
         check_different(self.landmarks, "name", "landmarks")
 
     def with_vehicles(self, count):
-        """The same fleet with its first `count` vehicles. Raises ValueError when there are not so many."""
+        """The same fleet with its first `count` vehicles. Raises ValueError when it has fewer."""
         if not 1 <= count <= len(self.vehicles):
             raise ValueError(
-                "fleet '%s' has %d vehicles, %d were asked for: use another fleet file"
+                "fleet '%s' has %d vehicles, %d were requested: use another fleet file"
                 % (self.name, len(self.vehicles), count)
             )
         return replace(self, vehicles=self.vehicles[:count])
@@ -212,7 +212,7 @@ class Fleet(Settings):
     def in_subnet(self, subnet):
         """The same fleet with the host at <subnet>.0.1 and vehicle k at <subnet>.1.k, e.g. subnet '127.77'.
 
-        Several virtual labs fit on one computer this way. Devices are a real laboratory's: nobody has any afterwards.
+        Several virtual labs fit on one computer this way. Devices are a real laboratory's: they are removed.
         Raises ValueError for anything but two address bytes.
         """
         if not re.fullmatch(r"\d{1,3}\.\d{1,3}", subnet):

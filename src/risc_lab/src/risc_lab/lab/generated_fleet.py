@@ -36,12 +36,12 @@ def rows(count, spacing_m=SPACING_M):
 
 
 def generated_fleet(vehicles, room_m=ROOM_M):
-    """A Fleet of so many AR.Drones in the virtual lab, in rows, in a net that is large enough. Raises ValueError.
+    """A Fleet of this many AR.Drones in the virtual lab, in rows, in a net that is large enough. Raises ValueError.
 
     room_m: from the outermost start to the net, at least; the laboratory's net is the smallest.
     """
     if not 1 <= vehicles <= MOST_VEHICLES:
-        raise ValueError("a generated fleet has 1 to %d vehicles, %r were asked for" % (MOST_VEHICLES, vehicles))
+        raise ValueError("a generated fleet has 1 to %d vehicles, %r were requested" % (MOST_VEHICLES, vehicles))
     places = rows(vehicles)
     half_x_m, half_y_m = np.maximum(np.abs(places).max(axis=0) + room_m, (NET_HALF_X_M, NET_HALF_Y_M)).tolist()
     names = _NAMES[:vehicles] + tuple("ardrone%d" % k for k in range(len(_NAMES) + 1, vehicles + 1))

@@ -23,7 +23,7 @@ OVERRIDABLE = (
     "command_rate_hz",
     "battery_life_s",
 )
-FULL_SCALES = ("tilt_max_rad", "yaw_rate_max_rad_s", "climb_max_m_s")  # which all who command a vehicle must agree on
+FULL_SCALES = ("tilt_max_rad", "yaw_rate_max_rad_s", "climb_max_m_s")  # which all that command a vehicle must agree on
 # Parameters of the original release -> (field, factor to its unit).
 LEGACY_PARAMETERS = {
     "euler_angle_max": ("tilt_max_rad", 1.0),
@@ -71,10 +71,10 @@ class VehicleType(Settings):
     command_rate_hz: between(1.0, 1000.0)  # how often the vehicle takes a command
     drag_n_s_m: NotNegative  # linear drag: force = -drag * airspeed
     battery_life_s: Positive  # full to empty in flight
-    # what courses may ask for: that part of the full scales (the rest is the controller's), and so much speed
+    # what courses may ask for: that part of the full scales (the rest is the controller's), and this speed
     course_share: between(0.1, 1.0) = 0.8
     speed_max_m_s: Positive = 3.0
-    report_delay_s: between(0.0, 2.0) = 0.0  # from what it measures to who hears it of its driver
+    report_delay_s: between(0.0, 2.0) = 0.0  # from its measurement to the subscribers of its driver
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
     devices: dict[str, Name] = field(default_factory=dict, hash=False)
@@ -135,7 +135,7 @@ def disagreement(name, mine, theirs, whose):
 def legacy_overrides(values):
     """{field: value} of the parameters of the original release in a dict; a negative one is not set.
 
-    Raises ValueError for what is no number.
+    Raises ValueError for what is not a number.
     """
     found = {}
     for name, (key, factor) in LEGACY_PARAMETERS.items():

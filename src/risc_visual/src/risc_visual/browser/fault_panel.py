@@ -24,7 +24,7 @@ class FaultPanel:
         """The lab knows these: FaultKind, rospy's. They take the place of those before."""
         with self._lock:
             offered = {kind.name: kind for kind in kinds}
-            if offered == self._kinds:  # rospy may bring a latched message twice: what somebody chose and pressed stays
+            if offered == self._kinds:  # rospy may bring a latched message twice: choices in the panel stay
                 return
             self.close()
             self._kinds = offered
@@ -48,7 +48,7 @@ class FaultPanel:
         self._show_status()
 
     def close(self):
-        """There is no lab any more."""
+        """The lab has gone."""
         with self._lock:
             if self._folder is not None:
                 self._folder.remove()
@@ -99,7 +99,7 @@ class FaultPanel:
             return
         told_as, text = self._answer
         lines = [(told_as, text)] if text else []
-        lines += self._told or [("small", "no fault acts")]
+        lines += self._told or [("small", "no active faults")]
         content = "".join('<div class="%s">%s</div>' % (shown_as, html.escape(line)) for shown_as, line in lines)
         self._status.content = _rm(content)
 

@@ -1,4 +1,4 @@
-"""Asking several at once, and telling what each answers, or that it does not. No ROS."""
+"""Asking several at once, and reporting each answer, or that none came. No ROS."""
 
 import threading
 
@@ -6,8 +6,8 @@ import threading
 def ask_all(questions, limit_s, tell):
     """Ask all at the same time. questions: dict name -> callable without arguments that returns (done, text).
 
-    tell(name, done, text) is called for every answer, in a thread of its own. Who has not answered after `limit_s` [s]
-    is told as failed then, and once more if an answer comes after all. A question that raises has failed: what it
+    tell(name, done, text) is called for every answer, in a thread of its own. What has not answered after `limit_s` [s]
+    is reported as failed then, and once more if an answer comes after all. A question that raises has failed: what it
     raises is the text.
     """
     for item in questions.items():

@@ -1,6 +1,6 @@
 """What the panel of the browser view says of the laboratory, as HTML. No ROS.
 
-Every value has an age: what is silent is said to be silent, with its last word, and never shown as if it were true.
+Every value has an age: what is silent is shown as silent, with its last value, and never as if it were current.
 Times are seconds of a clock that never steps.
 """
 
@@ -12,14 +12,14 @@ from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import state_text
 from risc_visual.drawing.palette import vehicle_colour
 
-PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for so long
+PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for this long
 # How long a value stays true [s]. Mode and status come 5 times a second and more, what changes seldom is said once, the
 # others come once a second.
 _TRUE_S = {"mode": 1.0, "vehicle": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
 _TRUE_S.update(safety=math.inf, course=math.inf, refusals=math.inf)
 _SOURCES = {"mode": "vehicle node", "mocap": "motion capture"}  # who says it; of others that is its name
 
-# The last rule is the page's own watch: whoever replaces the text in time restarts the animation before it shows.
+# The last rule is the page's own watch: replacing the text in time restarts the animation before it shows.
 PAGE_STYLE = (
     """<style>
 .rm { font-size: 0.85em; line-height: 1.45; padding: 0 0.8em 0.4em; }
@@ -47,7 +47,7 @@ class BrowserPanel:
         gui.set_panel_label("RISC MAAP")
         gui.main_panel.dock_right()
         gui.add_html(PAGE_STYLE)
-        button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, also one flown by hand")
+        button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, even if flown by hand")
         button.on_click(lambda _event: land_all())
         self.status = gui.add_html("")
         for name in names:  # a button each: one for several may say another vehicle by the time it is asked
@@ -71,7 +71,7 @@ class LiveStatus:
         self._heard[what, whose] = (value, now_s)
 
     def note_asked(self, names, time_of_day):
-        """Somebody has pressed a land button: these vehicles are asked to land."""
+        """A land button was pressed: these vehicles are asked to land."""
         self._asked = time_of_day, dict.fromkeys(names, ("small", "asked"))
 
     def note_answer(self, name, done, text):
@@ -79,7 +79,7 @@ class LiveStatus:
         self._asked[1][name] = ("good" if done else "bad", text)
 
     def forget(self):
-        """Nobody has listened for a while: nothing is known. Answers stay."""
+        """Nothing was subscribed to for a while: nothing is known. Answers stay."""
         self._heard = {}
 
     def html(self, now_s, time_of_day):
@@ -90,7 +90,7 @@ class LiveStatus:
         if ("operator", "") in self._heard:
             parts += ["<div>%s</div>" % self._told("operator", "", now_s, html.escape, "operator: ")]
         parts += ['<div class="small">as of %s</div>' % time_of_day]
-        parts += ['<div class="page-old">NO NEWS FOR %g s: WHAT YOU SEE IS OLD</div>' % PAGE_OLD_S]
+        parts += ['<div class="page-old">NO UPDATE FOR %g s: WHAT YOU SEE IS OLD</div>' % PAGE_OLD_S]
         return '<div class="rm">%s</div>' % "".join(parts)
 
     def _news(self, what, whose, now_s):
@@ -114,7 +114,7 @@ class LiveStatus:
         answers = dict(answers)  # more may come meanwhile
         if not answers:
             return ""
-        parts = ['<div class="small">landing asked for at %s</div>' % asked_at]
+        parts = ['<div class="small">landing requested at %s</div>' % asked_at]
         for name, (told_as, text) in answers.items():
             parts.append('<div class="%s">%s: %s</div>' % (told_as, html.escape(name), html.escape(text)))
         return "".join(parts)
@@ -135,7 +135,7 @@ class LiveStatus:
         return '<div class="vehicle" style="border-color: %s">%s</div>' % (colour, "<br/>".join(lines))
 
     def _way_html(self, vehicle, now_s):
-        """Where it is on its way, and how far from its reference, as far as somebody says so."""
+        """Where it is on its way, and how far from its reference, as far as known."""
         found = []
         if self._news("references", "", now_s):
             found = [html.escape(self._news("course", vehicle.template, now_s) or "")]

@@ -108,7 +108,7 @@ class MarkerScene:
         return count
 
     def clear(self):
-        """Begin anew: nothing is kept, and nothing is drawn any more but the floor."""
+        """Clear all: nothing is kept, and only the floor is drawn."""
         with self._lock:
             for group in self._groups.values():
                 group.end(list(group.members))
@@ -217,7 +217,7 @@ def _name(text):
 
 
 def _pose(marker):
-    """(7,) position and unit quaternion; all zeros is what nobody has set: no turn."""
+    """(7,) position and unit quaternion; all zeros means not set: no turn."""
     at, turn = marker.pose.position, marker.pose.orientation
     quaternion = np.array((turn.x, turn.y, turn.z, turn.w))
     length = np.linalg.norm(quaternion)
@@ -233,7 +233,7 @@ def _carried(transform, pose):
 
 
 def _is_near(pose, other):
-    """True when nobody could see the difference of two poses (7,)."""
+    """True when two poses (7,) cannot be told apart by eye."""
     return np.abs(pose[:3] - other[:3]).max() < _SAME_M and abs(pose[3:] @ other[3:]) > 1.0 - _SAME_TURN
 
 

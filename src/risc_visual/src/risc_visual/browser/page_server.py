@@ -42,8 +42,8 @@ def open_server(host, port, guests=None, strangers=None):
     if server.get_port() != port:
         server.stop()
         raise ValueError(_taken(host, port))
-    server.request_share_url = lambda: None  # else whoever opens the page could ask for a tunnel to the internet
-    # else whoever sees a button could send it a file, as large as he likes, which nobody here takes
+    server.request_share_url = lambda: None  # else anyone who opens the page could ask for a tunnel to the internet
+    # else anyone who sees a button could send a file of any size, which nothing here reads
     server.gui._websock_interface.unregister_handler(viser._messages.FileTransferStartUpload)
     return server
 
@@ -79,7 +79,7 @@ def _guard_server(guests, strangers):
 
 
 def _guarded_connections(guests, strangers):
-    """Class of a server's connections: guests, and not more than so many. Who says nothing is cut off by websockets."""
+    """Class of a server's connections: guests, and not more than so many. Silent ones are cut off by websockets."""
     present = Counter()  # connections by address
 
     class Connection(websockets.asyncio.server.ServerConnection):
@@ -117,9 +117,9 @@ def _guarded_connections(guests, strangers):
 def is_page_of_others(headers):
     """True when a browser asks for a page that is not ours, or that did not come from the address asked.
 
-    headers: of the request. Whoever has a name on the internet can let it lead to this computer (DNS rebinding), and
+    headers: of the request. The owner of a name on the internet can let it lead to this computer (DNS rebinding), and
     his page then has the same Host as Origin: so Host must be a name that this computer has, or an address, which
-    nobody can redirect.
+    cannot be redirected.
     """
     host = headers.get("Host", "").lower()
     origin = headers.get("Origin")
@@ -151,7 +151,7 @@ def _full_name():
 
 
 def _check_free(host, port):
-    """viser itself takes the next free port instead, where nobody looks for it."""
+    """viser itself would take the next free port instead, where it is not found."""
     try:
         socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError as error:
@@ -160,10 +160,10 @@ def _check_free(host, port):
         if error.errno == errno.EACCES:
             raise ValueError("port %d needs root: choose one from 1024 to 65535" % port) from None
         raise ValueError(
-            "host '%s' is no address of this computer (%s): use 127.0.0.1 for this computer only, 0.0.0.0 for the "
+            "host '%s' is not an address of this computer (%s): use 127.0.0.1 for this computer only, 0.0.0.0 for the "
             "network" % (host, error.strerror.partition(" (")[0])
         ) from None
 
 
 def _taken(host, port):
-    return "port %d of %s is taken (by another browser view?): choose another one" % (port, host)
+    return "port %d of %s is in use (by another browser view?): choose another one" % (port, host)

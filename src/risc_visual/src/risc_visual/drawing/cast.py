@@ -2,7 +2,7 @@
 
 import math
 
-REST_M_S = 0.01  # a reference slower than this stands still
+REST_M_S = 0.01  # a reference slower than this counts as standing still
 
 
 class Index(dict):
@@ -17,7 +17,7 @@ class Index(dict):
 
 def is_news(said_s, now_s, lifetime_s):
     """Whether what was said then is still true. Times [s] of ROS, by which rviz lets markers expire: so it is as true
-    in a bag that is played slowly. What was said long after now belongs to a bag that has begun again.
+    in a bag that is played slowly. A time far ahead of now belongs to a bag that was restarted.
     """
     return abs(now_s - said_s) < lifetime_s
 

@@ -10,7 +10,7 @@ class ArenaParams(Settings):
     """Settings of draw_risc_maap."""
 
     arena_file: str = ""  # arena to draw; "" = config/arena.yaml of this package, around the net of /fleet
-    refresh_hz: Positive = 1.0  # what never moves is sent again so often: it expires after three rounds without
+    refresh_hz: Positive = 1.0  # what never moves is sent at this rate: it expires after three rounds without
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class RayParams(DrawingParams):
     max_age_s: Positive = 5.0  # a picture older than the newest sight of its vehicle by this is not drawn
     length_m: Positive = 4.0
     width_m: Positive = 0.04
-    template_width_m: Positive = 0.01  # under the name of a mocap template: such bearings were no measurements once
+    template_width_m: Positive = 0.01  # under the name of a mocap template: once such bearings were not measurements
     alpha: Fraction = 0.4  # how opaque rays are
     azimuth_max_deg: Positive = 40.0  # a bearing farther than this from the optical axis is not drawn
     elevation_max_deg: Positive = 30.0

@@ -11,7 +11,7 @@ import numpy as np
 from risc_lab.camera import rays_of_bearings
 from risc_visual.drawing.palette import WHITE_RGB, ray_colours, vehicle_colour
 
-_AHEAD_S = 0.5  # [s] a picture so much newer than the last sight of its vehicle may still get a place
+_AHEAD_S = 0.5  # [s] a picture newer by this than the last sight of its vehicle may still get a place
 
 
 class Ray(NamedTuple):
@@ -33,7 +33,7 @@ class RayStyles:
         vehicles: of each vehicle all its names, in the order in which they have their colours.
         """
         self._params = params
-        # Thin under a template's name: in the original release such bearings were no measurements.
+        # Thin under a template's name: in the original release such bearings were not measurements.
         widths_m = {kind.name: params.template_width_m for kind in landmarks.landmarks}
         widths_m.update({kind.roi_name: params.width_m for kind in landmarks.landmarks})
         self._landmarks = {name: (widths_m[name], rgb) for name, rgb in ray_colours(landmarks).items()}
@@ -50,7 +50,7 @@ class RayStyles:
         limits_rad = np.radians((self._params.azimuth_max_deg, self._params.elevation_max_deg))
         drawn = {}
         for item in bearings:
-            # not a number is not within, either
+            # NaN is not within, either
             within = abs(item.azimuth_rad) < limits_rad[0] and abs(item.elevation_rad) < limits_rad[1]
             if item.visible and within:
                 drawn.setdefault(item.name, (item.azimuth_rad, item.elevation_rad))

@@ -93,10 +93,10 @@ def orbit_view_from_dict(content, where="view"):
 
 
 def load_config(path):
-    """Content of an rviz configuration file. Raises ValueError naming the file when it is none."""
+    """Content of an rviz configuration file. Raises ValueError naming the file when it is not one."""
     content = load_yaml(path)
     if not isinstance(content.get("Visualization Manager"), dict):
-        raise ValueError("%s: this is no configuration of rviz: it has no 'Visualization Manager'" % path)
+        raise ValueError("%s is not an rviz configuration: it has no 'Visualization Manager'" % path)
     return content
 
 

@@ -85,7 +85,7 @@ SLOW_S = 1.0  # longer than the lifetimes of what comes and goes
 SLOW_RATE = 0.2
 STEP_S = 0.01  # forward between the two parts: rviz forgets everything when the clock steps back
 FRAME_RATE_HZ = 5  # of rviz: enough for a picture, and the nodes that draw keep their time
-START_PATIENCE_S = 300.0  # for rviz and the drawing nodes, on a computer that has other things to do
+START_PATIENCE_S = 300.0  # for rviz and the drawing nodes, on a busy computer
 REST_PERIOD_S = 0.07  # not that of the drawing nodes, who sleep 0.04 s after every message
 REST_LOOKS = 10
 REST_PATIENCE_S = 300.0
@@ -368,7 +368,7 @@ def _wait(missing, launch, screens=()):
 
     wait_until(over, START_PATIENCE_S)
     if reasons:
-        raise RuntimeError("what draws did not start: %s\n%s" % ("; ".join(reasons), launch.log_tail()))
+        raise RuntimeError("the drawing nodes did not start: %s\n%s" % ("; ".join(reasons), launch.log_tail()))
 
 
 def _wait_for_rest(launch):
@@ -385,7 +385,7 @@ def _wait_for_rest(launch):
         return True
 
     if not wait_until(rest, REST_PATIENCE_S):
-        raise RuntimeError("what draws does not come to rest:\n%s" % launch.log_tail())
+        raise RuntimeError("the drawing nodes do not come to rest:\n%s" % launch.log_tail())
 
 
 def _play(bag_path, topics, start_s, stop_s, rate, network):

@@ -1,4 +1,4 @@
-"""A screen that nobody sees: programs that open windows run on it, and its content is a numpy array.
+"""A screen without a monitor: programs that open windows run on it, and its content is a numpy array.
 
 For pictures without a desktop (`./maap screenshot`) and for tests that use a mouse as a person would:
 
@@ -8,7 +8,7 @@ For pictures without a desktop (`./maap screenshot`) and for tests that use a mo
         save_picture(folder / "view.png", picture)
         subprocess.run(["xdotool", "mousemove", "640", "450", "click", "1"], env=screen.environment(), check=True)
 
-What was started ends with the screen, and when whoever started it dies of whatever. There is no window manager: windows
+What was started ends with the screen, and when the program that started it dies. There is no window manager: windows
 stand where their programs put them, and none has a frame. Drawing is in software and takes a core, so do not measure a
 flight beside it.
 """
@@ -35,7 +35,7 @@ _COLOURS = 16  # fewer: an empty window and its frame
 
 
 class ScreenError(RuntimeError):
-    """A virtual screen or a program on it cannot do what it is for; the text says why and what to do."""
+    """A virtual screen or a program on it does not work; the text says why and what to do."""
 
 
 def missing_programs(*programs):
@@ -137,7 +137,7 @@ class VirtualScreen(contextlib.ExitStack):
             if steady and accept(picture):
                 return picture
             if now > deadline:
-                why = "shows nothing of what it should" if steady else "never stands still"
+                why = "shows nothing of what it should" if steady else "keeps changing"
                 tails = "\n".join(_tail(log) for _, _, log in self._programs)
                 raise ScreenError("the picture %s, after %g s:\n%s" % (why, timeout_s, tails))
             time.sleep(_POLL_S)

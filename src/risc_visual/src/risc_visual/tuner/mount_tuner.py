@@ -48,7 +48,7 @@ class MountTuner:
         self.mount = self._first  # replaced as a whole
         self._lock = threading.Lock()  # held to replace it: `change` keeps some of its numbers
         self.window = BearingWindow(window_params)
-        self.acting = threading.Lock()  # for whoever calls: one action at a time
+        self.acting = threading.Lock()  # for callers: one action at a time
         self.seen_s = self.answered_s = -math.inf  # when it was seen last, and answered last [s]
         self.answer = ""  # the last one
 
@@ -96,7 +96,7 @@ class MountTuner:
         """Judge the mount. samples: the second of window.samples(), which no solution has seen."""
         count, needed = len(samples.times_s), self._fit_params.samples_min
         if count < needed:
-            text = "%s: not checked: %d bearings were kept aside, %d are needed: record more"
+            text = "%s: not checked: %d bearings were held out, %d are needed: record more"
             return False, text % (self.name, count, needed)
         found = misses(samples, self.mount, self._fit_params, camera)
         faults = []
@@ -105,7 +105,7 @@ class MountTuner:
         if found.wrong_share > self._fit_params.wrong_max:
             faults.append("more than %.0f %% wrong" % (100.0 * self._fit_params.wrong_max))
         verdict = "NOT good, " + " and ".join(faults) if faults else "good"
-        return not faults, "%s: %s: %s kept aside" % (self.name, verdict, found)
+        return not faults, "%s: %s: %s held out" % (self.name, verdict, found)
 
     def save(self):
         """Write the mount where the fleet says that it is; `reset` goes back to it from now on."""

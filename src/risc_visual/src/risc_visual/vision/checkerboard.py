@@ -16,7 +16,7 @@ from risc_lab.settings import Settings, between
 
 MIN_VIEWS = 4  # fewer are refused
 GOOD_VIEWS = 15  # fewer are reported
-MAX_VIEWS = 60  # that are used of all that were found: more take longer and tell little
+MAX_VIEWS = 60  # that are used of all that were found: more take longer and add little
 OUTLIER_RATIO, OUTLIER_FLOOR_PX = 3.0, 0.3  # a view is dropped when its error is so many times the median, and more
 CORNER_REACH = 0.12  # of the picture's diagonal: a corner of the picture without the board nearer is reported
 GOOD_TILT_DEG = 20.0  # views tilted less do not tell focal length from distance
@@ -134,7 +134,7 @@ def calibrate(views, board, size_px, name="camera", radial_terms=2):
     """
     if len(views) < MIN_VIEWS:
         raise ValueError(
-            "the board was found in %d picture(s), at least %d are needed and %d are good: take more, with the whole "
+            "the board was found in %d picture(s), at least %d are needed, %d are better: take more, with the whole "
             "board in view" % (len(views), MIN_VIEWS, GOOD_VIEWS)
         )
     kept = choose_views(views, board, size_px, MAX_VIEWS)

@@ -11,7 +11,7 @@ import numpy as np
 from risc_lab.settings import Settings, between
 
 HUES = 180  # of an 8-bit picture
-SIDE_MIN_PX = 8  # a smaller picture holds nothing
+SIDE_MIN_PX = 8  # smaller pictures are ignored
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Planes:
 def as_bgr(image):
     """The picture as (h, w, 3) uint8 BGR; None for one that is grey or too small to hold anything.
 
-    Raises ValueError for what is no picture.
+    Raises ValueError for anything but a picture.
     """
     image = np.asarray(image)
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)):
@@ -79,10 +79,10 @@ def as_bgr(image):
 
 
 def check_paints(colours, item, keys):
-    """Raises ValueError for the first of these fields of an item (which has a name) that is none of the colours."""
+    """Raises ValueError for the first of these fields of an item (which has a name) that is not one of the colours."""
     for key in keys:
         paint = getattr(item, key)
         if paint not in colours:
             raise ValueError(
-                "%s: '%s' is %r, which is no colour; known are %s" % (item.name, key, paint, ", ".join(colours))
+                "%s: '%s' is %r, not a known colour; known are %s" % (item.name, key, paint, ", ".join(colours))
             )

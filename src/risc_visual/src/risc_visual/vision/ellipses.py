@@ -12,7 +12,7 @@ import numpy as np
 _POINTS_MIN = 6  # of a fit
 _ROUNDS = 3  # of the robust fit; more change nothing that could be measured
 _LEAST_LIMIT = 0.75  # [px] distances that count in any case
-_PRIOR_PX, _PRIOR_COUNT = 0.05, 10  # what is known of the noise of an edge point beforehand, worth so many points
+_PRIOR_PX, _PRIOR_COUNT = 0.05, 10  # prior noise of an edge point, worth this many points
 _SYSTEMATIC = 5e-4  # error of the middle of an outline / its size, however many points there are
 
 

@@ -16,7 +16,7 @@ class DetectorParams(Settings):
     brightness from 0.3 to 2; `./maap bench vision` measures what they do.
     """
 
-    shrink: between(1, 8) = 2  # blobs are searched in a picture so much smaller, and measured in the whole one
+    shrink: between(1, 8) = 2  # blobs are searched in a picture this much smaller, and measured in the whole one
     diameter_min_px: between(4.0, 1e4) = 7.0  # of a centre; the original asked for an area of 110 px, some 12 px
     aspect_min: Fraction = 0.2  # minor / major axis of a centre: 0.34 is a disc that is turned by 70 degrees
     fill_min: Fraction = 0.80  # area of a blob / area of the ellipse with its moments; 1 is an ellipse

@@ -44,7 +44,7 @@ _ARC_WHOLE = 0.8  # share of the outline that is measured of a disc that nothing
 _MISFIT_WHOLE = 0.2  # greatest misfit of a disc that nothing hides; beyond it, errors of the points go together
 _DOUBT = 4.0  # covariance of what is hidden in part, or overexposed / what its outline alone would say
 _SATURATED = 250.0  # from which on the profile of an edge may be cut off at the top
-_OUTLIER_PX = 1.0  # what is farther from a rough outline is none of it
+_OUTLIER_PX = 1.0  # what is farther from a rough outline is not part of it
 _MISFIT_PX = 0.5  # that any outline may have
 _SCALE_TOLERANCE = 0.15  # of the ratio of both outlines
 _RING_SIGMA_PX = 0.15  # of the middle of the ring's outline
@@ -110,7 +110,7 @@ class LandmarkDetector:
         """List of Detection, the best first; the same landmark can be among them more than once.
 
         image: (h, w, 3) uint8 BGR; a grey one (h, w) has no colours and hence no landmarks. planes: colours.Planes of
-        the shrunk picture, when somebody else needed them, too. Raises ValueError for what is no picture.
+        the shrunk picture, when others needed them, too. Raises ValueError for anything but a picture.
         """
         bgr = as_bgr(image)
         if bgr is None:
@@ -233,7 +233,7 @@ class LandmarkDetector:
 
         Without that, a brighter half of a disc would look larger. colours, means, painted: of ring and centre: colours
         of their points, mean ones (3,), masks of the points that have them. A disc of a few pixels tells little of the
-        light, and neighbours' colours blur into it: a flat light is expected. What has a paint's hue but is none of it,
+        light, and neighbours' colours blur into it: a flat light is expected. What has a paint's hue without being it,
         as a panel before the ring, scatters that paint's samples, which then count the less.
         """
         square, along = np.eye(2) / (_LIGHT_SLOPE * size_px) ** 2, np.zeros(2)

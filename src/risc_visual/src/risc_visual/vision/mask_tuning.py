@@ -73,10 +73,10 @@ def save_colour(path, name, paint):
     if not str(path):
         raise ValueError("no file to write: give the parameter ~file, e.g. _file:=my_landmarks.yaml")
     if not re.fullmatch(r"\w+", name):
-        raise ValueError("%r is no name of a colour: letters, digits and _" % name)
+        raise ValueError("%r is not a valid colour name: use letters, digits and _" % name)
     path = pathlib.Path(path).expanduser().absolute()
     source = path if path.exists() else detector_file()
-    load_landmarks(source)  # else it is no such file
+    load_landmarks(source)  # else it is not such a file
     limits = CommentedMap((key, list(getattr(paint, key))) for key in ("hue", "saturation", "value"))
     limits.fa.set_flow_style()
     file = YAML()

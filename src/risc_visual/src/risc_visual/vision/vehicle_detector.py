@@ -131,7 +131,7 @@ class VehicleDetector:
         for paint in self._ranges:
             open_ = [name for name, hull in hulls.items() if paint in (hull.nose, hull.tail) and name not in found]
             groups = self._groups([blob for blob in rest if blob.paint == paint])
-            if len(open_) == 1 and groups:  # else nobody knows whose it is
+            if len(open_) == 1 and groups:  # else its owner is unknown
                 group = max(groups, key=lambda blobs: sum(blob.area for blob in blobs))
                 area = sum(blob.area for blob in group)
                 if self._is_hull(group, area):

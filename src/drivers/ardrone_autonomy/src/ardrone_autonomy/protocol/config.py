@@ -110,7 +110,7 @@ FLIGHT_LIMITS = ("euler_angle_max", "control_vz_max", "control_yaw")
 
 # --- values ------------------------------------------------------------------------------------------------------
 def format_value(kind, value):
-    """Wire text of a value: TRUE, 12, 0.500000, { 1.0000000e+00 ... }. ConfigError when it is not of the kind."""
+    """Wire text of a value: TRUE, 12, 0.500000, { 1.0000000e+00 ... }. ConfigError when it is not of the type."""
     try:
         if kind is bool:
             return "TRUE" if value else "FALSE"
@@ -124,7 +124,7 @@ def format_value(kind, value):
             return str(value)
     except (TypeError, ValueError, OverflowError):  # as for what is not finite
         pass
-    raise ConfigError("%r is not of the kind %s" % (value, kind.__name__))
+    raise ConfigError("%r is not of type %s" % (value, kind.__name__))
 
 
 def parse_value(kind, text):
@@ -135,7 +135,7 @@ def parse_value(kind, text):
             return tuple(float(x) for x in text.strip("{} \t").split())
         if kind is str:
             if any(c in text for c in "\0\r\n"):
-                raise ValueError("it cannot stand in a line")
+                raise ValueError("it contains a line break or a quote")
             return text
         if kind is bool and text.lower() in ("true", "false"):
             return text.lower() == "true"
@@ -146,7 +146,7 @@ def parse_value(kind, text):
             raise ValueError("it must be finite")
         return kind(number)
     except ValueError as error:
-        raise ConfigError("%r is not a configuration value of the kind %s: %s" % (text, kind.__name__, error)) from None
+        raise ConfigError("%r is not a configuration value of type %s: %s" % (text, kind.__name__, error)) from None
 
 
 # --- text on TCP 5559 --------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def encode_config_text(values):
 
 # --- multi-configuration ids -----------------------------------------------------------------------------------------
 def crc_id(name):
-    """Id of what has this name, see above: CRC-32 as 8 hexadecimal digits."""
+    """Id for this name, see above: CRC-32 as 8 hexadecimal digits."""
     return "%08x" % (zlib.crc32(name.encode("utf-8")) & 0xFFFFFFFF)
 
 

@@ -33,7 +33,7 @@ FULL_RATE_HZ = 200.0
 
 
 class NavdataError(ValueError):
-    """A datagram that is not a sound navdata packet."""
+    """A datagram that is not a valid navdata packet."""
 
 
 # State bits of the header, from 1 << 0 on.
@@ -108,7 +108,7 @@ class Layout:
                 % (self.name, len(payload) + 4, self.required_bytes + 4)
             )
         if len(payload) < self._struct.size:
-            whole = max(end for end in self._ends if end <= len(payload))  # half a field is worth nothing
+            whole = max(end for end in self._ends if end <= len(payload))  # half a field is of no use
             payload = payload[:whole].ljust(self._struct.size, b"\0")
         flat = self._struct.unpack_from(payload)
         return self.value_type._make([flat[place] for place in self._places])
@@ -246,7 +246,7 @@ def peek(data):
 class Navdata:
     """One received packet.
 
-    data: bytes.  NavdataError when the packet is unsound: short, wrong magic, an option that reaches beyond the end, a
+    data: bytes.  NavdataError when the packet is invalid: short, wrong magic, an option that reaches beyond the end, a
     checksum that is missing or wrong.  state: int of State bits.
     """
 

@@ -5,7 +5,7 @@ and a payload: one access unit of H.264 Annex B.  The aircraft sends as soon as 
 for a client that is slow; a client that joins in the middle waits for a picture of type IDR, which carries SPS and PPS.
 
 Reading: `parse_header` looks at one header; `StreamParser` cuts a byte stream into `Packet`s and finds its way back
-after anything that is no PaVE; `FrameAssembler` joins pictures that come in several packets.
+after anything that is not PaVE; `FrameAssembler` joins pictures that come in several packets.
 Writing: `pack_header`.
 
 Nothing that arrives raises, except in parse_header: the parser drops and counts what it cannot use.
@@ -27,7 +27,7 @@ _FIELDS = struct.Struct("<4sBBHI4H2I4B2IH4BHI")
 
 
 class PaveError(ValueError):
-    """Bytes that are no sound PaVE header."""
+    """Bytes that are not a valid PaVE header."""
 
 
 # Of the payload; MPEG4_AVC is H.264, what an AR.Drone 2.0 sends.
@@ -88,7 +88,7 @@ Packet = namedtuple("Packet", "header payload")  # PaveHeader, bytes
 def parse_header(data, offset=0):
     """PaveHeader at a place of a bytes-like object.
 
-    Needs MIN_HEADER_BYTES there, although header_bytes may be more.  PaveError when that is not a sound header.
+    Needs MIN_HEADER_BYTES there, although header_bytes may be more.  PaveError when that is not a valid header.
     """
     if len(data) - offset < MIN_HEADER_BYTES:
         raise PaveError("a PaVE header has at least %d bytes, got %d" % (MIN_HEADER_BYTES, max(0, len(data) - offset)))
@@ -115,17 +115,17 @@ class StreamParser:
     """Cuts the bytes of a TCP stream into Packets, however the network has split them.
 
     A packet is handed out with its last byte: nothing waits for the next header.  Whatever is not PaVE is skipped up
-    to the next sound header.  A payload that holds a sound header of the same stream was announced too long: it is
+    to the next valid header.  A payload that holds a valid header of the same stream was announced too long: it is
     dropped and the header inside is taken, so that a damaged length costs one picture and not all that follow.
     """
 
     def __init__(self):
         self.packets = 0  # handed out
-        self.bad_headers = 0  # "PaVE" that no sound header follows
+        self.bad_headers = 0  # "PaVE" that no valid header follows
         self.broken_payloads = 0  # announced longer than they were
         self.skipped_bytes = 0  # that belong to no packet
         self._buffer = bytearray()
-        self._searched = 0  # no sound header lies between the one at the beginning and here
+        self._searched = 0  # no valid header lies between the one at the beginning and here
 
     def reset(self):
         """Forget the bytes of a connection that has ended."""
@@ -151,7 +151,7 @@ class StreamParser:
         return packets
 
     def _find_header(self):
-        """The next sound header, which then begins the buffer; None: more bytes are needed."""
+        """The next valid header, which then begins the buffer; None: more bytes are needed."""
         buffer = self._buffer
         while (begin := buffer.find(MAGIC)) >= 0:
             self._skip(begin)
@@ -167,7 +167,7 @@ class StreamParser:
         return None
 
     def _find_inner_header(self, header, end):
-        """Where another sound header lies inside the payload; 0: nowhere, None: more bytes are needed to tell.
+        """Where another valid header lies inside the payload; 0: nowhere, None: more bytes are needed to tell.
 
         What has been searched once is not searched again: a payload may come in as many pieces as it has bytes.
         """

@@ -39,7 +39,7 @@ from risc_lab.ros.ticker import Ticker
 
 QUEUE_SIZE = 200  # of the telemetry topics, as in the original
 LOOPS_PER_CAMERA_FRAME = 5
-RESTART_S = 1.0  # until a driver that failed beside others begins again
+RESTART_S = 1.0  # until a driver that failed beside others is restarted
 REALTIME_BACKLOG = 20  # packets that may wait to be published with realtime_navdata
 REPEAT_WARNING_S = 5.0
 PUBLISH_PATIENCE_S = 5.0  # how long every packet may fail to be published before the driver gives up and lands
@@ -67,7 +67,9 @@ def make_drivers(arguments=()):
             "parameter ~vehicles must be {namespace: {drone_ip: ADDRESS, ...}, ...}, found %r" % (vehicles,)
         )
     if len(vehicles) > 1 and (arguments or "drone_ip" in tree):
-        raise ValueError("-ip and ~drone_ip are for one vehicle: give each of several its drone_ip in ~vehicles")
+        raise ValueError(
+            "-ip and ~drone_ip are for one vehicle: for several vehicles set drone_ip for each one in ~vehicles"
+        )
     return [
         ArdroneDriver(dict(own, **tree), "/%s/" % namespace.strip("/"), len(vehicles) == 1, arguments)
         for namespace, own in vehicles.items()
@@ -98,7 +100,7 @@ def _make_keeper(drivers):
         return Keeper([driver.address for driver in drivers])
     except OSError as error:
         text = (
-            "the keeper did not start: if this driver dies or hangs, vehicles go on with their last tilt for a second"
+            "the keeper did not start: if this driver dies or hangs, vehicles fly on with their last tilt for a second"
         )
         rospy.logerr("%s (%s)", text, error)
         return None
@@ -143,7 +145,7 @@ class ArdroneDriver:
         self._telemetry = None
         self._failing_since_s = None  # publishing has failed without a success since then
         # what /diagnostics counts: cmd_vel that is not finite; realtime_navdata faster than it can be published;
-        # header sound, content not; failures to convert or publish
+        # header valid, content not; failures to convert or publish
         self._counts = dict.fromkeys(("refused cmd_vel", "skipped packets", "bad packets", "packets not published"), 0)
         self._battery_pct = self._flight_state = self._link_quality = "unknown"
         self._growth = Growth()
@@ -239,7 +241,7 @@ class ArdroneDriver:
         except ValueError as error:
             sticks = HOVER
             self._counts["refused cmd_vel"] += 1
-            rospy.logerr_throttle(REPEAT_WARNING_S, "%s: refused, hovering until a sound command comes" % error)
+            rospy.logerr_throttle(REPEAT_WARNING_S, "%s: refused, hovering until a valid command arrives" % error)
         self._post(DroneLink.steer, sticks)
 
     def _on_toggle_camera(self, _request):
@@ -271,7 +273,7 @@ class ArdroneDriver:
 
     def _on_flat_trim(self, _request):
         if self._link.state_bits & State.FLYING:
-            return "the vehicle flies"
+            return "the vehicle is flying"
         self._post(DroneLink.flat_trim)
         return ""
 
@@ -297,7 +299,7 @@ class ArdroneDriver:
             rospy.logfatal("the driver failed, the node ends: %r", error)
             rospy.signal_shutdown("the driver failed: %r" % error)
         else:
-            rospy.logfatal("%sthe driver failed and begins again: %r", self._who, error)
+            rospy.logfatal("%sthe driver failed and is restarting: %r", self._who, error)
         return self._is_alone
 
     def _begin_again(self, failed):
@@ -334,7 +336,7 @@ class ArdroneDriver:
                     time.sleep(LOOPS_PER_CAMERA_FRAME * self._period_s)
                 self._telemetry = self._telemetry or _Telemetry(self._configuration, self._prefix)
                 self._publish_until_shutdown()
-            except Exception as error:  # noqa: PERF203  whatever it is: without telemetry nobody must fly on in silence
+            except Exception as error:  # noqa: PERF203  whatever it is: it must not fly on without telemetry
                 # while ROS shuts down topics close under our feet
                 if rospy.core.is_shutdown_requested() or self._ends_node(error):
                     return
@@ -378,7 +380,7 @@ class ArdroneDriver:
             rospy.logwarn_throttle(REPEAT_WARNING_S, "packet dropped: %s" % error)
 
     def _tolerate(self, work, *arguments):
-        """Do it; what one packet brings must not end a flight, unless there were only failures for a while."""
+        """Do it; one bad packet must not end a flight, unless there were only failures for a while."""
         try:
             work(*arguments)
         except Exception as error:  # whatever it is
@@ -438,7 +440,7 @@ class ArdroneDriver:
 
 
 class _Telemetry:
-    """The topics and tf frames that come from navdata. What nobody listens to is not computed."""
+    """The topics and tf frames that come from navdata. Topics without subscribers are not computed."""
 
     def __init__(self, configuration, prefix):
         def publisher(topic, message):

@@ -45,7 +45,7 @@ class Configuration(NamedTuple):
     options: list  # names of the enabled selective messages, e.g. "demo"
     covariances: list  # of imu: acceleration, angular velocity, orientation; tuples of 9
     texts: dict  # of settings.wanted_texts
-    warnings: list  # texts about parameters that are not used, or not as they stand
+    warnings: list  # texts about parameters that are not used, or are changed
 
     @property
     def lost_s(self):

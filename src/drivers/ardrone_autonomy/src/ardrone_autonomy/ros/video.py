@@ -28,7 +28,7 @@ def _advertise(name):
 
 
 class Video:
-    """Pictures of both cameras, and of the selected one; nothing is received while nobody listens to any of them.
+    """Pictures of both cameras, and of the selected one; nothing is received while none has a subscriber.
 
     address: IPv4 address of the vehicle.
     frames: frame ids of front and bottom camera.
@@ -65,7 +65,7 @@ class Video:
     def tick(self, is_ready):
         """Once per loop: open or close the stream as subscribers come and go, publish the newest picture.
 
-        is_ready: the vehicle is configured; before, nobody knows which camera it would send.
+        is_ready: the vehicle is configured; before, it is unknown which camera it would send.
         """
         self.stream.want(
             is_ready

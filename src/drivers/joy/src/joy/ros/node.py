@@ -13,7 +13,7 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import load_params
 
 RETRY_S = 1.0
-STALL_S = 0.3  # a node that wakes later than it wanted by more stood still: what was pressed meanwhile is old
+STALL_S = 0.3  # a node that wakes later than it wanted by more was suspended: what was pressed meanwhile is old
 READ_BYTES = 64 * 8
 
 
@@ -69,7 +69,7 @@ class JoyNode:
             return path
         found = find_by_name(name)
         if found is None:
-            rospy.logwarn_once("joy: no joystick is called '%s': trying %s" % (name, path))
+            rospy.logwarn_once("joy: no joystick is named '%s': trying %s" % (name, path))
         return found or path
 
     def _read(self, fd, path):
@@ -96,12 +96,12 @@ class JoyNode:
                     self._counts["joystick event"] += 1
                     urgency = state.apply(event)
                     if urgency is Urgency.NEVER:
-                        text = "joy: %s sends records of type %d, which is no button and no axis: is ~dev a joystick?"
+                        text = "joy: %s sends records of type %d, neither button nor axis: is ~dev a joystick?"
                         rospy.logwarn_throttle(10.0, text % (path, event.type))
                     if clock.event(urgency, time.monotonic()) and not stood_still:
                         self._publish(state, clock, path)
                 if stood_still:  # only what is so now counts
-                    rospy.logwarn("joy: the node stood still; what was pressed and released meanwhile is left out")
+                    rospy.logwarn("joy: the node was suspended; what was pressed and released meanwhile is ignored")
                     self._publish(state, clock, path)
             self._diagnostics.update()
 

@@ -1,6 +1,6 @@
 """An IRIS+ on the wire: the telemetry of its autopilot, and the Arduino Due that flies it through its radio.
 
-UDP 14550 speaks MAVLink with any station that talks to it (mavlink.py). TCP 11411 is the serial line of the vehicle's own Due:
+UDP 14550 speaks MAVLink with any station (mavlink.py). TCP 11411 is the serial line of the vehicle's own Due:
 the bytes go into its real firmware, whose PPM signal goes over the radio to the autopilot (transmitter.py).
 
 Opening the line resets the board, as that of the programming port does. The line is a cable: a loss of the link takes

@@ -1,6 +1,6 @@
 """The browser view as a node: marker topics -> scene, the vehicles' own topics -> panel, buttons -> land services.
 
-While nobody looks it subscribes to nothing and costs nothing. Wiring only; see marker_scene, live_status, page_server.
+Without a viewer it subscribes to nothing and costs nothing. Wiring only; see marker_scene, live_status, page_server.
 """
 
 import time
@@ -69,12 +69,12 @@ class LiveViewParams(Settings):
     host: Name = "127.0.0.1"  # this computer only; 0.0.0.0 = also guests in the network
     port: Port = 8080  # of the page
     guests: tuple[str, ...] = ()  # addresses, or networks A.B.C.0/24, who may see the page, and land the vehicles
-    rate_hz: Positive = 15.0  # of the picture, at most; while nobody looks nothing is done
+    rate_hz: Positive = 15.0  # of the picture, at most; without a viewer nothing is done
     arena_file: str = ""  # net, which sets the size of the floor; "" = that of /fleet
 
 
 class LiveView:
-    """Shows what is drawn for rviz to whoever opens the page."""
+    """Shows what is drawn for rviz to those who open the page."""
 
     def __init__(self):
         params = self._params = load_params(LiveViewParams, known=("vehicles",))[0]
@@ -101,9 +101,9 @@ class LiveView:
         if params.host in ("127.0.0.1", "localhost"):
             rospy.loginfo("for this computer only; host:=0.0.0.0 guests:=[ADDRESS] opens it, and its land buttons")
         elif params.guests:
-            rospy.logwarn("who sees this page can land the vehicles: %s", ", ".join(params.guests))
+            rospy.logwarn("anyone who sees this page can land the vehicles: %s", ", ".join(params.guests))
         else:
-            rospy.logwarn("no other computer can open the page: write the addresses that may into ~guests")
+            rospy.logwarn("no other computer can open the page: list those that may in ~guests")
 
     def land_all(self):
         """Land every vehicle, and have the virtual operator, where there is one, let them stand."""
@@ -111,7 +111,7 @@ class LiveView:
 
     def _land(self, names, others):
         """Ask the nodes of these vehicles to land them, and others too; the panel shows what each answers."""
-        rospy.logwarn("landing of %s was asked for in the browser", ", ".join(names))
+        rospy.logwarn("landing of %s requested from the browser", ", ".join(names))
         self._status.note_asked(names, _time_of_day())
         vehicles_first = {name: partial(_call, "/%s/land" % name, _NO_NODE) for name in names}
         ask_all({**vehicles_first, **others}, _ANSWER_S, self._on_answer)
@@ -124,7 +124,7 @@ class LiveView:
 
     def _inject(self, fault):
         """Ask the virtual lab for a fault, in the words of the command line."""
-        rospy.logwarn("asked for in the browser: %s", "fault " + fault if fault else "the end of all faults")
+        rospy.logwarn("requested from the browser: %s", "fault " + fault if fault else "the end of all faults")
         ask_all({"": partial(_call_lab, fault)}, _ANSWER_S, lambda _name, *answer: self._faults.note_answer(*answer))
 
     def _turn(self):
@@ -156,7 +156,7 @@ class LiveView:
             return None
 
     def _begin(self):
-        """Somebody looks."""
+        """A page is open."""
         self._turns.update(due_s=0.0, panel_due_s=0.0)
         note = self._note
 
@@ -194,7 +194,7 @@ class LiveView:
         self._status.forget()
         self._faults.close()
         self._scene.clear()
-        self._panel.status.content = ""  # nobody is to meet old news
+        self._panel.status.content = ""  # the next viewer must not see old values
 
     def _on_markers(self, topic, message):
         self._not_shown |= self._scene.note(topic, getattr(message, "markers", [message]), time.monotonic())
@@ -226,7 +226,7 @@ def _operator_text(message):
 
 
 def _call(service, silent):
-    """Ask for a landing. silent: what it means when nobody answers. Returns (done, what happens)."""
+    """Ask for a landing. silent: what it means when no answer comes. Returns (done, what happens)."""
     try:
         answer = rospy.ServiceProxy(service, Trigger)()
     except rospy.ServiceException as error:

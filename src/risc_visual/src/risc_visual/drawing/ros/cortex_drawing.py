@@ -18,12 +18,12 @@ from risc_visual.drawing.ros.airframes import parts_of
 from risc_visual.drawing.ros.markers import GREEN, LINE_M, ORANGE, ORIGIN, RED, TEXT_M, WHITE, Pen, header, is_known
 
 _TEXT_PERIODS = 3.0  # without news after which a text vanishes
-_SPHERE_ALPHA, _OTHER_ALPHA = 0.7, 0.4  # of landmarks, and of those that nobody knows
+_SPHERE_ALPHA, _OTHER_ALPHA = 0.7, 0.4  # of landmarks, and of unknown ones
 _PENDULUM = (1.0, 0.6, 0.0)
 _ROD_MAX_M = 1.5  # a pendulum tip farther than this from every vehicle stands on none
 _BARE = (0.75, 0.75, 0.75)
 _LOST_RGBA = (0.6, 0.6, 0.6, 0.4)
-_LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
+_LEAST_M = 1e-3  # least diameter that rviz can draw
 _MODES_M, _BATTERIES_M = (-0.5, -1.4, 0.0), (1.0, 1.15, 0.0)  # from two corners of the net to the lists of texts
 
 
@@ -35,7 +35,7 @@ class CortexDrawing:
         self._index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
         airframes = {kind: parts_of(kind) for kind in {vehicle.type for vehicle in fleet}}
         self._airframes = {vehicle.template: airframes[vehicle.type] for vehicle in fleet}
-        self._other_airframe = parts_of()  # of who is not in the fleet
+        self._other_airframe = parts_of()  # of those not in the fleet
         self._tips = attached_bodies(templates)
         self._colours = {name: rgb + (_SPHERE_ALPHA,) for name, rgb in sphere_colours(landmarks).items()}
         self._lifetime_s, self._label_rgba = params.lifetime_s, WHITE + (params.label_alpha,)

@@ -16,7 +16,7 @@ LIGHT_PARAM = "/light_ground"  # true: all is drawn on white; read when a node s
 
 
 class Drawer:
-    """Draws the newest message of each topic again and again, one at a time: what draws needs no locks."""
+    """Draws the newest message of each topic repeatedly, one at a time: drawing needs no locks."""
 
     def __init__(self, name, inputs, rate_hz, optional=False):
         """name, inputs, optional: as of Health, which counts what is drawn. rate_hz: of drawing."""

@@ -1,8 +1,8 @@
 """visualization_msgs markers as rviz accepts them, and what is drawn of the arena, of rays and of paths.
 
 Frame: cortex for all but rays, which are in the frame of a camera. Namespaces, colours and sizes are those of the
-original release; ids are stable, so that a marker replaces its predecessor. Every marker has a lifetime: what nobody
-sends any more vanishes.
+original release; ids are stable, so that a marker replaces its predecessor. Every marker has a lifetime: what is
+no longer sent vanishes.
 """
 
 import functools

@@ -35,9 +35,9 @@ from risc_visual.tuner.ros.mount_marker import mount_marker, numbers_from_pose, 
 
 NAMESPACE = "transform_tuner"  # of topics, services and sliders, whatever the node is called
 ACTIONS = ("solve", "check", "save", "reset", "record")  # services, and the menu in this order
-_FOLLOW_S = 0.25  # sliders follow the handles so much later: telling everybody takes too long for every mouse event
+_FOLLOW_S = 0.25  # delay of the sliders after the handles: telling all clients takes too long for every mouse event
 _SEEN_S = 0.5  # a vehicle without a pose for longer is not seen
-_COMPLAIN_S = 10.0  # sliders that cannot follow are told of so often
+_COMPLAIN_S = 10.0  # between warnings of sliders that cannot follow
 _ANSWER_S = 20.0  # how long the last answer stays in the view
 _LANDMARKS_HZ = 2.0
 _STATES = 400  # frames that may wait while the node is held up: 2 s at 200 Hz
@@ -46,7 +46,7 @@ _TEXT_ABOVE_M = 0.6  # its lower edge above the vehicle, and above the vehicle's
 _TEXT_M = 0.08  # height of a line
 _LINE = 1.3  # distance of two lines / their height
 _TEXT_COLUMNS = 56
-_APART_LINES = 5  # by so many the text of each vehicle is higher than that of the one before: they may fly abreast
+_APART_LINES = 5  # by this many the text of each vehicle is higher than that of the one before: they may fly abreast
 _TEXT_RGBA = (1.0, 1.0, 0.6, 1.0)
 
 
@@ -64,8 +64,8 @@ class Sliders:
         self._tuner = tuner
         self._on_moved = on_moved
         self._shown = None
-        self._follower = None  # thread that moves them now, which is no person
-        self._told = True  # whether everybody was told of their last move
+        self._follower = None  # thread that moves them now, not a person
+        self._told = True  # whether all clients were told of their last move
         for key, value in tuner.numbers.items():
             rospy.set_param("%s/%s" % (namespace, key), value)
         self._server = Server(TransformTunerConfig, self._on_config, namespace)
@@ -114,7 +114,7 @@ class TransformTunerNode:
         self._frames_due_s = 0.0
         self._sliders = [self._offer(tuner, "%s/%s" % (namespace, tuner.name)) for tuner in self._tuners]
         self._handles.applyChanges()
-        # Every pose counts, also when this node is late: between two of them that are far apart nobody knows the third.
+        # Every pose counts, also when this node is late: what lies between two that are far apart is unknown.
         rospy.Subscriber(
             "/cortex_raw", Cortex, self._on_states, queue_size=_STATES, buff_size=_BUFFER_BYTES, tcp_nodelay=True
         )
@@ -199,7 +199,7 @@ class TransformTunerNode:
         return done, answer
 
     def _show(self, tuner):
-        """Everybody is told where the camera sits now; sliders follow soon."""
+        """Publish where the camera sits now; sliders follow soon."""
         self._frames.move_camera(tuner.template, tuner.mount)
         self._handles.setPose(tuner.name, pose_of(tuner.mount))
         self._handles.applyChanges()

@@ -31,7 +31,7 @@ class LookoutParams(Settings):
 
     vehicles: tuple[str, ...] = ()  # namespaces whose cameras are looked through; () = those of /fleet, else risc1..4
     image: Name = "ardrone/image_rect_color"  # topic of the pictures, below the vehicle's namespace
-    # topic of the pictures with what was found, drawn only while somebody listens, below the vehicle's namespace;
+    # topic of the pictures with what was found, drawn only while it has a subscriber, below the vehicle's namespace;
     # "" = ardrone/image_modi, of quad_tracker ardrone/image_quads
     overlay: str = ""
     rectified: bool = True  # the pictures are image_proc's; false: as the camera takes them
@@ -101,7 +101,7 @@ class Lookout:
         # every landmark and, if they are looked for, every other vehicle; seen or not
         others = [] if self._vehicles is None else [other for other in self._others if other != name]
         seen = header, name, self._names, landmarks, others, vehicles
-        if self._exact is not None:  # first: whoever uses it needs no region of the same picture
+        if self._exact is not None:  # first: its users need no region of the same picture
             self._exact.publish(detections_of_picture(*seen))
         self._publisher.publish(rois_of_picture(*seen))
         if self._overlays[name].get_num_connections():

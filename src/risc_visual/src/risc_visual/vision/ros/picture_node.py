@@ -21,11 +21,11 @@ from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 from risc_visual.vision.ros.picture_reader import PictureReader
 
 _BRIDGE = CvBridge()
-_LOOK_S = 0.25  # between two looks whether somebody listens
+_LOOK_S = 0.25  # between two checks for subscribers
 
 
 class PictureNode(abc.ABC):
-    """Subscribes to pictures while somebody listens to a result, and calls `process` with the newest one."""
+    """Subscribes to pictures while a result has a subscriber, and calls `process` with the newest one."""
 
     def __init__(self, topic, outputs, settings_class, config_type=None, rate_hz=0.0):
         """topic: of the pictures.  outputs: dict topic -> encoding of a picture, or a message class.
@@ -63,11 +63,11 @@ class PictureNode(abc.ABC):
     # -------- what a node needs
 
     def wanted(self, name):
-        """Whether somebody listens to this output."""
+        """Whether this output has a subscriber."""
         return self._publishers[name].get_num_connections() > 0
 
     def publish(self, name, value, header):
-        """Send a picture (array) or a message, when somebody listens."""
+        """Send a picture (array) or a message, when it has a subscriber."""
         if not self.wanted(name):
             return
         if name in self._encodings:
@@ -95,7 +95,7 @@ class PictureNode(abc.ABC):
                 self.use(wanted)
                 self.settings = wanted
         except ValueError as error:
-            rospy.logerr("%s: settings not taken: %s", rospy.get_name(), error)
+            rospy.logerr("%s: settings rejected: %s", rospy.get_name(), error)
             config.update({name: getattr(self.settings, name) for name in names})
         return config
 

@@ -17,7 +17,7 @@ _TOLD_S = 10.0  # between two reports of the same trouble
 
 
 class PictureReader:
-    """Hands the newest picture of a topic to whoever works on it, while it is open."""
+    """Hands the newest picture of a topic to `work`, while it is open."""
 
     def __init__(self, topic, work, updater, name, rate_hz=0.0, more=dict):
         """work(picture, header): picture is (h, w, 3), blue green red, and may be drawn on; ValueError refuses it.
@@ -63,7 +63,7 @@ class PictureReader:
         except (ValueError, cv2.error) as error:
             with self._lock:
                 self._counts["refused"] += 1
-            rospy.logerr_throttle_identical(_TOLD_S, "a picture on %s is refused: %s" % (self.topic, error))
+            rospy.logerr_throttle_identical(_TOLD_S, "a picture on %s was rejected: %s" % (self.topic, error))
             return
         with self._lock:
             self._last_s = time.monotonic()
@@ -78,7 +78,7 @@ class PictureReader:
         summarise(
             status,
             (not self.is_open, DiagnosticStatus.OK, "waiting: no result has a subscriber"),
-            (new["refused"], DiagnosticStatus.ERROR, "pictures are refused: the log says why"),
+            (new["refused"], DiagnosticStatus.ERROR, "pictures are rejected: the log says why"),
             (is_silent(self._last_s), DiagnosticStatus.WARN, "no pictures on " + self.topic),
             (True, DiagnosticStatus.OK, "working"),
         )

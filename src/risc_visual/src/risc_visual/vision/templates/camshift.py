@@ -41,7 +41,7 @@ class CamshiftTracker:
         hue, coloured = self._hue(picture[y : y + height, x : x + width])
         if not width * height or cv2.countNonZero(coloured) < self.settings.least_px:
             raise ValueError(
-                "the rectangle x %d, y %d, width %d, height %d holds no colour to follow: place it on the target, or "
+                "the rectangle x %d, y %d, width %d, height %d has no colour to follow: place it on the target, or "
                 "lower saturation_low and value_low" % tuple(rectangle)
             )
         histogram = cv2.calcHist([hue], [0], coloured, [_BINS], [0, 180])

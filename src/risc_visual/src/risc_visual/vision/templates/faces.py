@@ -39,7 +39,7 @@ class FaceFinder:
         try:
             self._network = cv2.FaceDetectorYN.create(path, "", (320, 320), settings.score, _OVERLAP, _MOST)
         except cv2.error as error:
-            raise ValueError("%s is no YuNet network in ONNX format: %s" % (path, error.err)) from error
+            raise ValueError("%s is not a YuNet network in ONNX format: %s" % (path, error.err)) from error
 
     def find(self, picture):
         """List of (`Region`, confidence 0 to 1) in a picture (h, w, 3), the most certain first."""

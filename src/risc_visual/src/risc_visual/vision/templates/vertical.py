@@ -19,7 +19,7 @@ class RollHistory:
         self._samples = collections.deque()  # (time [s], roll [rad])
 
     def add(self, time_s, roll_rad):
-        """A measurement; a new clock (a bag that is played again) begins anew."""
+        """A measurement; a new clock (a bag that is played again) clears the rest."""
         step = self._stamps.look(time_s)
         if step is Step.REFUSED:
             return
