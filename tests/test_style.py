@@ -81,6 +81,29 @@ def test_no_timer_dies_of_an_exception():
     assert found == ["ticker.py"]
 
 
+def test_no_callback_of_a_flying_node_is_without_a_guard():
+    """rospy logs a traceback for each message that a callback fails on. `risc_lab.ros.guard.subscribe` and
+    PacedSubscriber guard theirs.
+    """
+    flying = ROOT / "src/risc_control", ROOT / "src/risc_estimation", ROOT / "src/drivers/roscopter"
+    sources = [path for path in programs() if any(folder in path.parents for folder in flying)]
+    bare = [
+        "%s:%d" % (path.relative_to(ROOT), node.lineno)
+        for path in sources
+        for node in nodes_of(path)
+        if isinstance(node, ast.Attribute) and ast.unparse(node) == "rospy.Subscriber"
+    ]
+    guarded = [path for path in sources if "guard import" in path.read_text(encoding="utf-8")]
+    assert len(guarded) > 5, "where flying nodes are"
+    assert not bare, "use risc_lab.ros.guard.subscribe: " + ", ".join(bare)
+
+
+def test_one_file_asks_rospy_whether_it_closes():
+    """rospy has no documented name for it."""
+    asking = [path.name for path in programs() if "is_shutdown_" + "requested" in path.read_text(encoding="utf-8")]
+    assert asking == ["until_shutdown.py"]
+
+
 def test_one_file_reads_who_sent_a_message():
     """rospy has no public name for it, so a new rospy may move it: what uses it asks `risc_lab.ros.sender`."""
     sources = [*programs(), *(ROOT / "src").rglob("test/**/*.py"), *(ROOT / "tests").rglob("*.py")]

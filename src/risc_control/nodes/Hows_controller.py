@@ -6,6 +6,7 @@ import rospy
 from std_msgs.msg import Float64
 
 from risc_control.ros.controller_node import ControllerNode, main
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.params import vehicles
 
 
@@ -17,7 +18,7 @@ class GuidanceNode(ControllerNode):
         super().__init__("guidance", vehicles(only_one=True))
 
     def _subscribe(self):
-        rospy.Subscriber("/target_velocity", Float64, self._on_target_velocity, queue_size=1, tcp_nodelay=True)
+        subscribe("/target_velocity", Float64, self._on_target_velocity, queue_size=1)
         super()._subscribe()
 
     def _on_target_velocity(self, message):

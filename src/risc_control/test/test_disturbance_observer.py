@@ -256,7 +256,7 @@ def test_false_places_teach_it_nothing_and_are_believed_when_they_stay():
 
 
 def test_what_is_not_finite_is_not_measured():
-    """One number that is none must not stay in the filters, nor in what was learnt."""
+    """One number that is not finite must not stay in the filters, nor in what was learnt."""
     flyer, wrong = Flyer(level=(0.01, -0.02)), Flyer(level=(0.01, -0.02))
     for k in range(400):
         flyer.step(waving(k), seen=k != 300)

@@ -73,7 +73,7 @@ def test_loss_holds_then_lands(what):
 
 
 def test_states_that_cannot_be_true_hold_then_land():
-    """They are no states; what is wrong with them is in the reason."""
+    """They do not count as states; what is wrong with them is in the reason."""
     flight = Flight()
     flight.suspect = "its yaw jumped"
     assert flight.run(0.09).level == FailsafeLevel.OK
@@ -255,7 +255,7 @@ def test_inside_the_fence(position):
         ((0.0, -1.6, 1.0), (0.0, -0.6, 0.0), True),
         ((0.0, 0.0, 2.5), (0.0, 0.0, 0.9), True),
         ((0.0, 0.0, 2.5), (0.0, 0.0, 0.4), False),
-        ((0.0, 0.0, 0.2), (0.0, 0.0, -1.0), False),  # the floor is no fence
+        ((0.0, 0.0, 0.2), (0.0, 0.0, -1.0), False),  # the floor does not count
     ],
 )
 def test_a_vehicle_that_cannot_stop_inside_holds_and_then_lands(position, velocity, holds):
@@ -316,7 +316,7 @@ JOINS = Look(holds=True, reason="0.90 m from Raven, which holds", joins=True)
 def test_one_that_is_too_near_to_others_holds_then_lands():
     flight, limits = Flight(), SafetyLimits()
     flight.look = NEAR
-    assert flight.run(limits.separation_delay_s - 0.01).level == FailsafeLevel.OK, "one false measurement is no reason"
+    assert flight.run(limits.separation_delay_s - 0.01).level == FailsafeLevel.OK, "one false measurement is not enough"
     verdict = flight.run(0.02)
     assert (verdict.level, verdict.reason) == (FailsafeLevel.HOLD, NEAR.reason)
     assert flight.run(limits.separation_land_s - 0.02).level == FailsafeLevel.HOLD

@@ -94,7 +94,7 @@ def test_a_small_joystick_is_a_problem_and_no_error():
     assert Joystick(JoystickParams()).update([], []).pressed == frozenset()
 
 
-def test_axis_that_is_no_number():
+def test_axis_that_is_not_a_number():
     joystick = Joystick(JoystickParams())
     joystick.update(buttons(), axes(roll=math.nan))
     assert joystick.sticks.left == 0.0

@@ -42,7 +42,7 @@ def desk(monkeypatch):
     monkeypatch.setattr(joystick_buttons, "ros_time_s", lambda: found.now_s)
     monkeypatch.setattr(joystick_buttons, "sender", lambda message: found.sender)
     monkeypatch.setattr(rospy, "logwarn", lambda text, *values: found.logged.append(text % values))
-    monkeypatch.setattr(rospy, "logerr_throttle", lambda _period_s, text: found.logged.append(text))
+    monkeypatch.setattr(rospy, "logerr", lambda text: found.logged.append(text))
     return found
 
 

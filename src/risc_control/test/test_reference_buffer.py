@@ -106,6 +106,23 @@ def test_what_is_old_or_not_finite_is_refused():
     assert buffer.newest_s == now_s
 
 
+def test_a_vehicle_without_numbers_changes_no_other_vehicles_reference():
+    """Neither while it has none nor, but for one jump, afterwards."""
+    course = make_course("circles3", 3)
+    (buffer, now_s), (sound, _) = filled(course), filled(course)
+    for k in range(1, 60):
+        sample = course.at(now_s + k * DT_S)[:3]
+        assert sound.push(now_s + k * DT_S, sample)
+        if k < 30:
+            sample[k % 3, 1, k % 4] = (np.nan, np.inf)[k % 2]
+        assert buffer.push(now_s + k * DT_S, sample)
+        assert buffer.known.tolist() == [True, k >= 30, True]
+        value, wanted = (each.at(np.array([now_s + k * DT_S + 0.14]))[0] for each in (buffer, sound))
+        if k < 30:
+            assert np.array_equal(value[:, (0, 2)], wanted[:, (0, 2)])
+    assert np.abs(value - wanted)[:3].max() < 1e-3, "and it has its own again"
+
+
 def test_a_clock_that_falls_back_starts_afresh():
     """A bag that is played again, or a computer whose clock was set."""
     course = make_course("circle", 1)
@@ -125,7 +142,7 @@ def test_nothing_known():
 
 def test_nothing_is_compiled_in_flight_whatever_the_order_of_an_array():
     """A message's arrays are views with other strides."""
-    functions = reference_buffer._is_finite, reference_buffer._continues, reference_buffer._evaluate
+    functions = reference_buffer._find_finite, reference_buffer._continues, reference_buffer._evaluate
     course, buffer = make_course("circle", 2), ReferenceBuffer()
     before = [len(function.signatures) for function in functions]
     for k in range(60):

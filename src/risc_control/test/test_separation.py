@@ -302,7 +302,7 @@ def test_one_that_is_not_seen_stays_in_the_way_where_it_was_until_it_is_forgotte
     sky = pair(STRAY_M - 0.1)
     sky.look()
     sky.hidden = {"albatross"}
-    assert not near(sky.look(LIMITS.state_land_s - 0.1)), "a few frames are no loss"
+    assert not near(sky.look(LIMITS.state_land_s - 0.1)), "a few frames are not a loss"
     looks = sky.look(0.2)
     assert near(looks) == {"fluffy_II"}
     assert not looks["albatross"].holds, "its own ladder knows"

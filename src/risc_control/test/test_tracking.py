@@ -128,17 +128,36 @@ def test_without_state_or_reference_it_is_level_with_hover_thrust(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_numbers_that_are_not_finite_never_leave(kind):
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e200, -1e200])
+@pytest.mark.parametrize("is_first", [False, True])
+def test_numbers_that_are_not_finite_never_leave_and_the_others_fly_on(kind, value, is_first):
+    """In the first frame or later. What a limit cuts may be finite again, however large it is."""
+
+    def flown(state, reference):
+        controller = kind([ARDRONE] * 2)
+        if not is_first:
+            update(controller, states(n=2), standing(0.1, n=2), stamp_s=100.0 - DT_S)
+        return controller, update(controller, state, reference)
+
+    def check(state, reference):
+        controller, output = flown(state, reference)
+        assert output.finite[1] and not (np.isnan(value) and output.finite[0])
+        own, others = np.array(output.controls).T
+        assert np.isfinite(own).all() if output.finite[0] else np.isnan(own).all()
+        assert np.array_equal(others, np.array(sound.controls)[:, 1])
+        again = update(controller, states(n=2), standing(0.1, n=2), stamp_s=100.5)
+        assert again.finite.all(), "nothing of it is remembered"
+
+    _, sound = flown(states(n=2), standing(0.1, n=2))
+    assert sound.finite.all()
     for order, axis in ((2, 1), (0, 0), (1, 2), (2, 2), (0, 3)):
-        reference = standing()
-        reference[order, 0, axis] = np.nan
-        with pytest.raises(ValueError, match="finite"):
-            update(kind([ARDRONE]), states(), reference)
+        reference = standing(0.1, n=2)
+        reference[order, 0, axis] = value
+        check(states(n=2), reference)
     for column in (S.X, S.Z, S.V, S.W, S.PSI):
-        state = states()
-        state.x[0, column] = np.nan
-        with pytest.raises(ValueError, match="finite"):
-            update(kind([ARDRONE]), state, standing())
+        state = states(n=2)
+        state.x[0, column] = value
+        check(state, standing(0.1, n=2))
 
 
 def test_thrust_counts_the_tilt_that_the_vehicle_has():
@@ -213,7 +232,7 @@ def test_what_was_learnt_is_taken_out_of_the_command(axis, field, value, command
 
 
 def test_what_was_learnt_is_forgotten_where_it_may_not_hold():
-    """When somebody else flies it, low over the floor, and by `reset`; a push is no trim, and stays with the pilot."""
+    """When somebody else flies it, low over the floor, and by `reset`. A push is not a trim: the pilot keeps it."""
 
     def learnt(controller):
         o = controller.controller._observed[0]

@@ -59,11 +59,23 @@ def test_limits_clip_and_are_reported():
     assert converted(roll=0.2, yaw_rate=0.35, vehicle_type=other)[0].psi == pytest.approx(-0.5)
 
 
-def test_what_is_not_known_hovers_and_what_is_not_finite_is_refused():
+def test_what_is_not_known_hovers_and_what_is_not_finite_is_no_command():
     assert converted(math.nan, math.nan, known=False) == ((0.0, 0.0, 0.0, pytest.approx(HOVER_N)), False)
     for broken in ({"roll": math.nan}, {"thrust": math.inf}, {"yaw_rate": -math.inf}):
-        with pytest.raises(ValueError, match="not finite"):
-            converted(**broken)
+        controls, cut = converted(**broken)
+        assert np.isnan(controls).all() and not cut
+
+
+@pytest.mark.parametrize("row", [0, 1, 2])
+def test_a_command_that_is_not_finite_changes_no_other_vehicles(row):
+    sound = Command(*np.tile([[0.1], [-0.2], [0.3], [4.4]], 3))
+    broken = Command(*(part.copy() for part in sound))
+    broken.pitch_rad[row] = math.nan
+    everyone, nobody = np.ones(3, bool), np.zeros(3, bool)
+    (alone, _), (found, _) = (ControlsConverter([ARDRONE, IRIS, ARDRONE])(c, everyone, nobody) for c in (sound, broken))
+    others = np.arange(3) != row
+    assert np.array_equal(np.array(found)[:, others], np.array(alone)[:, others])
+    assert np.isnan(np.array(found)[:, row]).all()
 
 
 def climb_rate(thrust_n, phi=0.0, theta=0.0, climb_m_s=0.0):

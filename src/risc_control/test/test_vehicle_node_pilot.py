@@ -674,7 +674,7 @@ def _believe_all_commands(monkeypatch):
 
 @pytest.mark.parametrize("looks", [True, False])
 @pytest.mark.parametrize("what", Controls._fields)
-def test_a_command_that_is_no_number_is_ignored(what, looks, monkeypatch):
+def test_a_command_that_is_not_a_number_is_ignored(what, looks, monkeypatch):
     """Without the look at it the vehicle is sent it."""
     if not looks:
         _believe_all_commands(monkeypatch)
@@ -795,7 +795,7 @@ def test_its_own_velocity_counts_where_its_bottom_camera_sees_the_floor(sees_the
     assert (min(sticks.forward for sticks in told) > -0.6) == sees_the_floor, "else braked in full"
 
 
-def test_commands_that_are_no_numbers_are_as_silence_and_named(monkeypatch):
+def test_commands_that_are_not_numbers_count_as_silence_and_are_named(monkeypatch):
     desk = Desk().fly(autonomous=True)
     desk.control = Controls(0.0, 0.0, math.nan, HOVER_N)
     with monkeypatch.context() as off:

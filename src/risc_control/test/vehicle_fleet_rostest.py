@@ -115,7 +115,7 @@ class VehicleFleetTest(unittest.TestCase):
         self.assertTrue(all(map(is_zero, world.messages("risc2", "cmd_vel"))))
 
     def test_3_a_vehicle_that_is_fed_garbage(self):
-        """Commands, sticks and telemetry that are no numbers."""
+        """Commands, sticks and telemetry that are not numbers."""
         world = self.world
         world.fly_by_controls()
         world.controls["risc2"] = (math.nan, math.inf, -math.inf, math.nan)

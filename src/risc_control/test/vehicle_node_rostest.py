@@ -226,7 +226,7 @@ class VehicleNodeTest(unittest.TestCase):
         self.assertEqual(world.answers("risc2"), [])
 
     def test_5_a_vehicle_that_turns_is_believed(self):
-        """As fast as it can, in degrees: with one unit for the other this is a jump, or the one above is none."""
+        """As fast as it can, in degrees: with one unit for the other this is a jump, or the one above is not."""
         world = self.world
         world.fly()
         world.forget()

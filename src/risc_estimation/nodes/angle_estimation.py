@@ -13,6 +13,7 @@ from risc_estimation.ros.cameras import VehicleCameras
 from risc_estimation.ros.conversions import header_for
 from risc_estimation.ros.params import AngleParams
 from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise, ticking_updater
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_maap_msgs.msg import Detections
@@ -34,8 +35,8 @@ class AngleEstimationNode:
         self._pub = rospy.Publisher("angles", Observed_angles, queue_size=10, tcp_nodelay=True)
         ticking_updater().add("angle estimation", self._diagnose)
         self._source = ImageSource()
-        rospy.Subscriber("detections", Detections, self._on_detections, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("land_rois", Observed_rois, self._on_rois, queue_size=10, tcp_nodelay=True)
+        subscribe("detections", Detections, self._on_detections, queue_size=10)
+        subscribe("land_rois", Observed_rois, self._on_rois, queue_size=10)
 
     def _on_detections(self, msg):
         self._answer(msg.header, [msg], True)

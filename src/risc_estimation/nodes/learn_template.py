@@ -19,6 +19,7 @@ import rospy
 from risc_estimation import template_geometry as geometry
 from risc_lab.lab.templates import KINDS, VEHICLE, load_templates
 from risc_lab.ros.fleet_messages import MocapArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.params import known_fleet
 from risc_lab.ros.publisher_updates import init_node
 
@@ -64,7 +65,7 @@ class Recording:
 def record(name, seconds):
     """(frames, n, 3) [m] of an object. Raises ValueError when it is not shown for so long."""
     recording = Recording(name, seconds)
-    rospy.Subscriber("/mocap_data", MocapArrays, recording.on_frame, queue_size=1000, tcp_nodelay=True)
+    subscribe("/mocap_data", MocapArrays, recording.on_frame, queue_size=1000)
     deadline_s = time.monotonic() + seconds + _PATIENCE_S
     while not recording.over.wait(0.1):
         if rospy.is_shutdown() or time.monotonic() > deadline_s:

@@ -22,7 +22,6 @@ from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS
 from risc_lab.ros import low_latency
 from risc_lab.ros.node import run
 from risc_lab.ros.params import known_fleet, load_params, told_vehicle_type
-from risc_lab.ros.until_shutdown import until_shutdown
 
 _FILTER = "ekf"
 # Of the original: inertia and gains of the one airframe that it knew.
@@ -68,7 +67,6 @@ class EkfNode(EstimatorNode):
         self._frame = BodyPosesArrays()
         self.listen("mocap_poses", BodyPosesArrays.Raw)
 
-    @until_shutdown
     def _on_frame(self, message):
         with self.lock:
             header = self._frame.deserialize(message.buff).header

@@ -18,9 +18,9 @@ from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
 from risc_lab.ros.fleet_messages import LandmarksArrays, MocapArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.params import known_arena, known_fleet, load_params
-from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import Counter, EstimatorStatus, MarkerCount, StateCovariances, UnidentifiedMarkers
 
 _LOOSE_MOST = 128  # frames whose markers without a label are kept: more than can wait
@@ -49,10 +49,9 @@ class StatesEstimationNode(EstimatorNode):
         self._loose = {}  # {stamp [ns]: (u, 3) [m]} of the newest frames: markers without a label
         self._told_exchanged = set()
         kind = numpy_msg(UnidentifiedMarkers)
-        rospy.Subscriber("mocap_unidentified", kind, self._on_unidentified, queue_size=100, tcp_nodelay=True)
+        subscribe("mocap_unidentified", kind, self._on_unidentified, queue_size=100)
         self.listen("mocap_data", MocapArrays.Raw)
 
-    @until_shutdown
     def _on_unidentified(self, message):
         with self.lock:
             stamp_ns = message.header.stamp.to_nsec()
@@ -70,7 +69,6 @@ class StatesEstimationNode(EstimatorNode):
             self.lock.wait_for(lambda: next(reversed(self._loose)) >= stamp_ns, _MATE_S)
         return self._loose.get(stamp_ns, NOTHING)
 
-    @until_shutdown
     def _on_frame(self, message):
         with self.lock:
             frame = self._frame.deserialize(message.buff)

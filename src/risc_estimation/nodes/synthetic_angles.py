@@ -17,6 +17,7 @@ from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParam
 from risc_lab.lab.calibration import load_calibration, load_mount
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise, ticking_updater
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.params import load_params, vehicles
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
@@ -44,8 +45,8 @@ class SyntheticAnglesNode:
         self._growth = Growth()
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
         ticking_updater().add("synthetic angles", self._diagnose)
-        rospy.Subscriber("states3", Landmarks, self._on_landmarks, queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)
+        subscribe("states3", Landmarks, self._on_landmarks, queue_size=1)
+        subscribe("cortex_raw", Cortex, self._on_states, queue_size=100)
 
     def _observer(self, vehicle):
         calibration = load_calibration(vehicle.calibration or self._params.default_calibration)

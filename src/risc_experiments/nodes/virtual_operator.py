@@ -18,6 +18,7 @@ from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, params_from_dict, vehicles
 from risc_lab.ros.publisher_updates import init_node
@@ -64,12 +65,10 @@ class VirtualOperator:
             adapter_class(vehicle.vehicle_type).watch("/%s/" % name, on_report, paced)
             paced("/%s/controller_status" % name, Bool, self._locked(self._on_status), args=(watched,))
             on_safety = self._locked(self._on_safety)
-            rospy.Subscriber("/%s/safety" % name, Safety, on_safety, watched, queue_size=10, tcp_nodelay=True)
+            subscribe("/%s/safety" % name, Safety, on_safety, watched, queue_size=10)
             topic, on_refusals = "/%s/takeoff_refusals" % name, self._locked(self._on_refusals)
-            rospy.Subscriber(topic, TakeoffRefusals, on_refusals, watched, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber(
-            "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
-        )
+            subscribe(topic, TakeoffRefusals, on_refusals, watched, queue_size=10)
+        subscribe("/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10)
         paced("/cortex_raw", CortexArrays, self._locked(self._on_states))
         rospy.on_shutdown(partial(self._remember, False))
         start(self._connect_home)

@@ -123,7 +123,7 @@ def test_bytes_that_are_no_message_are_refused_or_read_as_genpy_reads_them(kind,
     except genpy.DeserializationError:
         return
     assert message.data.size == message.layout.size
-    message.header.frame_id = ""  # bytes that are no text are replaced by longer ones
+    message.header.frame_id = ""  # bytes that are not text are replaced by longer ones
     assert len(wire(message)) <= len(torn)
 
 

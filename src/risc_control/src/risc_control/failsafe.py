@@ -118,7 +118,7 @@ class SafetyLadder:
         self.controls = Freshness("controls", limits.clock_tolerance_s)
         self.suspect = ""  # what the newest state contradicts; "" when nothing
         self._suspect_s = -math.inf  # when it came
-        self._not_finite_s = -math.inf  # when the controller sent a command that was no number, last
+        self._not_finite_s = -math.inf  # when the controller sent a command that was not finite, last
         self._saturated = Lasting()
         self._losses = (  # what it flies on, and how old that may be
             (Rule.STATE, self.state, limits.state_hold_s, limits.state_land_s),
@@ -166,7 +166,7 @@ class SafetyLadder:
         """The controller has sent a command. finite: of numbers.  saturated: to tilt by full scale."""
         if not finite:
             self._not_finite_s = now_s
-        # while another rule holds the vehicle its reference goes on, and full tilt is no wonder
+        # while another rule holds the vehicle its reference goes on, and full tilt is to be expected
         counts = self.verdict.level == _OK or self.verdict.rule == Rule.CONTROLS
         self._saturated.note(finite and saturated and counts, now_s)
 

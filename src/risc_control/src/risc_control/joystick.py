@@ -12,7 +12,7 @@ from typing import NamedTuple
 from risc_lab.message_age import MessageAges
 from risc_lab.settings import Count, NotNegative, Positive, Settings
 
-LATE_S = 0.3  # [s] a joystick message older than this when it arrives is no word of the operator of now
+LATE_S = 0.3  # [s] a joystick message older than this when it arrives is not current
 _FIRST_S = 1.0  # after its start a node hears a joystick that repeats what it says
 _CLOCK_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these
 
@@ -80,7 +80,7 @@ class Edges(NamedTuple):
 
     held: frozenset  # that are down
     pressed: frozenset  # that went down with this message
-    belated: frozenset  # that are down, and went down in a message before which was late
+    belated: frozenset  # that are down, and were pressed in an earlier message that came too late
     late: bool  # this message is too old to act on
     age_s: float
 

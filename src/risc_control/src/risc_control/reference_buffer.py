@@ -72,6 +72,7 @@ class ReferenceBuffer:
         self._guard = ClockGuard()
         self._samples = deque()  # (stamp, sample), the newest last
         self._spacing_s = ()  # of the samples that `_fit` is for
+        self.known = None  # (n,) bool of the newest sample: the vehicle has a reference; `at` gives NaN for the others
         for stamp_s in (0.0, 0.01):  # loads what is compiled, also what compares a sample with the last
             self.push(stamp_s, np.zeros((self.sample_orders, 1, len(Axis))))
         self.at(np.zeros(1))
@@ -86,14 +87,16 @@ class ReferenceBuffer:
         """Add a sample (orders, n, 4): 3 orders, or a Taylor series of more. A jump, another set of vehicles or a new
         clock forgets what was before.
 
-        Returns False, and takes nothing, for a stamp that does not advance (see `ClockGuard`) or a number that is not
-        finite.
+        A vehicle of which a number is not finite has no reference (`known`); the others have theirs. Returns False, and
+        takes nothing, for a stamp that does not advance (see `ClockGuard`) or when no vehicle has a reference.
         """
         # In this order, whatever the message's: for another one everything would be compiled, or loaded, in flight.
         stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")
-        step = self._guard.look(stamp_s) if _is_finite(sample) else Step.REFUSED
+        known = np.empty(sample.shape[1], dtype=bool)
+        step = self._guard.look(stamp_s) if _find_finite(sample, known) else Step.REFUSED
         if step is Step.REFUSED:
             return False
+        self.known = known
         if self._samples and step is Step.ADVANCES and self._samples[-1][1].shape == sample.shape:
             last_s, last = self._samples[-1]
             if not _continues(stamp_s - last_s, last, sample):
@@ -179,15 +182,25 @@ def _conditions(times, size):
 
 
 @compiled
-def _is_finite(sample):
-    return math.isfinite(sample.sum())
+def _find_finite(sample, known):
+    """Fills known (n,): all numbers of the vehicle are finite. Whether that is so for any."""
+    anyone = False
+    for i in range(len(known)):
+        known[i] = math.isfinite(sample[:, i].sum())
+        anyone |= known[i]
+    return anyone
 
 
 @compiled
 def _continues(step_s, before, sample):
-    """True when a sample follows from the one before by a step of one smooth path, its yaw in the same turn."""
-    worst = 0.0
+    """True when a sample follows from the one before by a step of one smooth path, its yaw in the same turn.
+
+    What has just come to be no number says nothing of that; what is one again begins anew.
+    """
+    most, smooth = _TOLERANCE_1_S * step_s, step_s <= _KEEP_S
     for i in range(sample.shape[1]):
+        if not math.isfinite(sample[:, i].sum()):
+            continue
         turned = sample[0, i, Axis.PSI] - before[0, i, Axis.PSI]
         sample[0, i, Axis.PSI] -= 2.0 * np.pi * np.rint(turned / (2.0 * np.pi))
         for axis in range(sample.shape[2]):
@@ -196,8 +209,8 @@ def _continues(step_s, before, sample):
             # Hermite's rule for the position and the trapezoid for the velocity, both on the numbers of one step
             velocity_error = v_1 - v_0 - 0.5 * step_s * (a_1 + a_0)
             position_error = p_1 - p_0 - 0.5 * step_s * (v_1 + v_0) + step_s * step_s / 12.0 * (a_1 - a_0)
-            worst = max(worst, abs(velocity_error), abs(position_error))
-    return step_s <= _KEEP_S and worst < _TOLERANCE_1_S * step_s
+            smooth &= abs(velocity_error) < most and abs(position_error) < most  # not so for NaN
+    return smooth
 
 
 @compiled

@@ -428,7 +428,7 @@ def speed_factor(course, speed):
         return number
     own_m_s = peak_speed_m_s(course)
     if not own_m_s > 0.0:
-        raise ValueError("'%s' has no speed in m/s, it stands: write e.g. 2x for twice as fast" % course.name)
+        raise ValueError("'%s' has no speed in m/s, it does not move: use a factor such as 2x" % course.name)
     return number / own_m_s
 
 

@@ -60,7 +60,7 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     command_rate_hz: float = -1.0
     status_rate_hz: Positive = 30.0  # [Hz] how often controller_status is told; a change is told at once
     land_repeat_s: Positive = 0.2  # [s] how often a landing of the ladder is ordered until the vehicle stands
-    takeoff_grace_s: NotNegative = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
+    takeoff_grace_s: NotNegative = 3.0  # [s] a take-off ordered may show that late: until then "landed" is not proof
     # HOLD: True, its bottom camera sees the floor: an AR.Drone's own velocity counts, and all zero is sent, on which it
     # holds its place; False, it does not (a floor without texture): what it does is reckoned, and it is kept level
     hold_auto_hover: bool = True
@@ -196,7 +196,7 @@ class VehiclePilot:
     def on_joy(self, buttons, axes, now_s, age_s=0.0, sender=""):
         """A joystick message. age_s: by its stamp [s]; 0 when it has none. sender: which node it is from.
 
-        One that was held up on its way is no word of the operator of now: the vehicle may have landed meanwhile, and
+        One that was held up on its way is not current: the vehicle may have landed meanwhile, and
         the button that was pressed to land it would be a take-off. It is not obeyed, nor a sign of life. A button that
         went down in such a message and is still down in one that is in time counts then, to stop, to land or to end
         autonomous mode only.
@@ -343,7 +343,7 @@ class VehiclePilot:
     def hear_controls(self, own, age_s, now_s):
         """Take a command for a sign of life of the controller only. Returns False for one that is not finite.
 
-        What means something else to the vehicle than to the controller is no sign of life: the ladder lands.
+        What means something else to the vehicle than to the controller is not a sign of life: the ladder lands.
         """
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:

@@ -89,7 +89,7 @@ class Controller:
     def step(self, t, states, reference, params):
         """`Command` of arrays (n,).  t: Times.  states: Bundle.  reference: Reference.  params: PARAMS.
 
-        Raises ValueError when a number of a vehicle that is seen is not finite.
+        A vehicle for which a number of it is not finite is sent none; the others fly on.
         """
         raise NotImplementedError
 
@@ -156,8 +156,9 @@ def _rows_of(states, rows):
 class Output(NamedTuple):
     """What goes to n vehicles."""
 
-    controls: Controls  # of arrays (n,)
+    controls: Controls  # of arrays (n,); NaN, all four, where `finite` is False
     saturated: np.ndarray  # (n,) bool: a limit of the vehicle cut the command
+    finite: np.ndarray  # (n,) bool, False where the controller's command is not a number: the vehicle gets none
 
 
 class ControlLoop:
@@ -223,23 +224,15 @@ class ControlLoop:
         """`Output` for the States at stamp_s, to be sent at now_s; level with hover thrust where nothing is known.
 
         present, ahead, usable: see `Reference`.  autonomous, bodies, covariances: see `Bundle`; bodies None: no vehicle
-        carries anything, or it is not seen.  Raises ValueError, and nothing counts as sent, when a number of a vehicle
-        that is seen is not finite.
+        carries anything, or it is not seen.
         """
         params, self.controller.designed = self._flown
         reference = Reference(present, ahead, usable)
         bodies = self._no_bodies if bodies is None else bodies
         bundle = Bundle(states, autonomous, self.sent, bodies, covariances)
         command = self.controller.step(Times(stamp_s, now_s), bundle, reference, params)
-        return Output(*self._to_controls(command, states.visible & usable, self.controller.saturated))
-
-
-def checked(is_finite, commands):
-    """`Command` of the rows of commands (4, n). Raises ValueError when a number was not finite."""
-    # raised here: an exception out of compiled code leaves its arrays in memory for ever
-    if not is_finite:
-        raise ValueError("refusing to command: a state or a reference is not finite")
-    return Command(commands[0], commands[1], commands[2], commands[3])
+        controls, cut = self._to_controls(command, states.visible & usable, self.controller.saturated)
+        return Output(controls, cut, np.isfinite(controls.thrust_n))
 
 
 def own_params(name, vehicles, where):

@@ -107,7 +107,7 @@ class Controller(controllers.Controller):
         self.forget_times()
 
     def forget_times(self):
-        """As `controllers.Controller`. The integrals are no times, and stay."""
+        """As `controllers.Controller`. The integrals are not times, and stay."""
         self._computed.clear()
         self._stamp_s = -np.inf
 
@@ -118,7 +118,7 @@ class Controller(controllers.Controller):
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
         gains, limits, steps, unknown = self.designed
-        is_finite = _step(
+        _step(
             float(t.stamp_s),
             float(t.now_s),
             float(step_s),
@@ -140,7 +140,7 @@ class Controller(controllers.Controller):
             commands,
             self.saturated,
         )
-        return controllers.checked(is_finite, commands)
+        return Command(commands[0], commands[1], commands[2], commands[3])
 
 
 def _limits(vehicle_type, params):
@@ -157,10 +157,10 @@ def _step(
     stamp_s, now_s, step_s, kinds, plants, limits, gains, tables, unknowns, observed, integrals, sent, computed, x,
     usable, autonomous, present, ahead, commands, saturated
 ):  # fmt: skip
-    """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
+    """See `Controller.step`: fills commands (4, n), NaN for a vehicle of which a number is not finite, and saturated
+    (n,).
 
-    sent, computed: see `fill_in_force`.  Returns False, and counts nothing as sent, when a number of a vehicle is not
-    finite.
+    step_s: since the last state.  sent, computed: see `fill_in_force`.
     """
     age_s = max(0.0, now_s - stamp_s)
     steps = np.empty(len(plants), dtype=np.int64)
@@ -185,8 +185,11 @@ def _step(
         fill_in_force(sent[i], computed[i], plant, stamp_s, under_way, LAG_STEPS)
         tilt = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
         way = x[i, S.X], -x[i, S.Y], x[i, S.Z], x[i, S.U], -x[i, S.V], x[i, S.W]
-        if not math.isfinite(sum(tilt) + sum(way)):
-            return False
+        wanted_m = present[Order.POSITION, i, Axis.X] + present[Order.POSITION, i, Axis.Y]
+        wanted_m += present[Order.POSITION, i, Axis.Z]
+        if not math.isfinite(sum(tilt) + sum(way) + wanted_m):  # it must not get into what is remembered
+            commands[:, i] = math.nan
+            continue
         now, before = under_way[LAG_STEPS], under_way[0]
         observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], plant, tables[kind], unknown)
         if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; who flies low keeps what it knows
@@ -207,8 +210,12 @@ def _step(
         drag_1_s = plant.drag_1_s + seen.drag_1_s
         forward, right = _horizontal(motion, ahead[:, i], drag_1_s, limit, gain, integral, push, lags_s)
         wanted_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
-        if not math.isfinite(forward + right + up + wanted_rate):
-            return False
+        # what the climb loop makes of it is up
+        told, told_cut = _told_up(up, motion.up_m_s, ahead[:, i], plant.climb, seen.height)
+        # squares, as the norm in `flat_inputs` must be finite
+        if not math.isfinite(forward * forward + right * right + up * up + wanted_rate + told):
+            commands[:, i] = math.nan
+            continue
         f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
         wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
         wanted_roll = (wanted.roll_rad - seen.phi.level) / (1.0 + seen.phi.gain)
@@ -216,8 +223,6 @@ def _step(
         roll, pitch = clipped(wanted_roll, limit.roll_rad), clipped(wanted_pitch, limit.pitch_rad)
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
-        # what the climb loop makes of it is up
-        told, told_cut = _told_up(up, motion.up_m_s, ahead[:, i], plant.climb, seen.height)
         commands[3, i] = thrust_at_tilt(f.up + told - up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
         integral.tilt_was_cut = shortened or roll != wanted_roll or pitch != wanted_pitch
         integral.climb_was_cut = climb_cut or told_cut
@@ -227,7 +232,6 @@ def _step(
             applied[i, Channel.CLIMB] = climb_command(told, motion.up_m_s, plant.climb)
     for i in range(len(kinds)):
         append_command(computed[i], now_s, applied[i])
-    return True
 
 
 @compiled

@@ -66,7 +66,7 @@ class Controller(controllers.Controller):
     def step(self, t, states, reference, params):
         """As `controllers.Controller`."""
         commands = np.zeros((len(Command._fields), len(self.mass_kg)))
-        is_finite = _step(
+        _step(
             self._vehicles,
             self.designed,
             float(params.error_max_m),
@@ -76,12 +76,12 @@ class Controller(controllers.Controller):
             commands,
             self.saturated,
         )
-        return controllers.checked(is_finite, commands)
+        return Command(commands[0], commands[1], commands[2], commands[3])
 
 
 @compiled
 def _step(vehicles, gains, error_max_m, x, usable, present, commands, saturated):
-    """Fills commands (4, n) and saturated (n,). False when a number of a vehicle is not finite."""
+    """Fills commands (4, n), NaN for a vehicle of which a number is not finite, and saturated (n,)."""
     K = gains[0]
     for i in range(len(vehicles)):
         saturated[i] = False
@@ -101,10 +101,11 @@ def _step(vehicles, gains, error_max_m, x, usable, present, commands, saturated)
         )
         psi = x[i, S.PSI]
         yaw_rate = velocity[Axis.PSI] + K.yaw * wrapped(position[Axis.PSI] - psi)
-        if not math.isfinite(f.north + f.east + f.up + yaw_rate):
-            return False
+        # squares, as the norm in `flat_inputs` must be finite
+        if not math.isfinite(f.north * f.north + f.east * f.east + f.up * f.up + yaw_rate):
+            commands[:, i] = math.nan
+            continue
         f, saturated[i] = limit_tilt(f, vehicles[i].tilt_max_rad)
         commands[0, i], commands[1, i], commands[2, i], commands[3, i] = flat_inputs(
             f, psi, yaw_rate, vehicles[i].mass_kg
         )
-    return True

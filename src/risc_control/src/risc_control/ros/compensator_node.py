@@ -19,10 +19,10 @@ from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import CortexArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import VEHICLE_KEYS, load_params, told_vehicle_type, vehicles
-from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.settings import Name, Settings, between
 from risc_maap_msgs.msg import CommandsSent
 
@@ -51,25 +51,16 @@ class CompensatorNode:
         self._counts, self._growth = dict.fromkeys(("states", "late", "commands"), 0), Growth()
         self._publisher = rospy.Publisher("/cortex_estimate", CortexArrays, queue_size=1, tcp_nodelay=True)
         ticking_updater(", ".join(names)).add("delay compensation", self._diagnose)
-        rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands, queue_size=None, tcp_nodelay=True)
-        rospy.Subscriber(
-            self._topic,
-            CortexArrays.Raw,
-            self._on_states,
-            queue_size=1,
-            buff_size=BUFFER_BYTES,
-            tcp_nodelay=True,
-        )
+        subscribe("/commands_sent", CommandsSent, self._on_commands, queue_size=None)
+        subscribe(self._topic, CortexArrays.Raw, self._on_states, queue_size=1, buff_size=BUFFER_BYTES)
         delays = ["%s %.0f ms" % item for item in zip(names, 1e3 * self._compensator.delay_s)]
         rospy.loginfo("%s looks ahead: %s", rospy.get_name(), ", ".join(delays))
 
-    @until_shutdown
     def _on_commands(self, message):
         with self._lock:
             noted = note_commands(message, self._index, self._compensator.sent, self._timeout_s)
             self._counts["commands"] += noted
 
-    @until_shutdown
     def _on_states(self, message):
         with self._lock:
             header, states = self._reader.read(message.buff)

@@ -22,10 +22,10 @@ from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
-from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.settings import Name, Positive, Settings, limits_of, settings_from
 from risc_maap_msgs.msg import (
     CommandsSent,
@@ -38,6 +38,7 @@ from risc_maap_msgs.msg import (
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 _RAW = "/cortex_raw"
+_AGAIN_S = 10.0  # between two warnings of the same kind
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class ControllerNode:
         fleet_vehicles = vehicles() if fleet_vehicles is None else fleet_vehicles
         fleet_vehicles = [replace(vehicle, type=node.vehicle_type or vehicle.type) for vehicle in fleet_vehicles]
         self.names = [vehicle.template for vehicle in fleet_vehicles]
-        self._index = {name: i for i, name in enumerate(self.names)}
+        self._index, self._kind = {name: i for i, name in enumerate(self.names)}, node.controller
         private = rospy.get_param("~", {})
         types = [told_vehicle_type(vehicle, private) for vehicle in fleet_vehicles]
         self._states_topic = rospy.resolve_name(node.states_topic)
@@ -81,14 +82,14 @@ class ControllerNode:
         self._buffers = {}  # names of a message -> (ReferenceBuffer, rows, columns of the message)
         self._lock = threading.Lock()
         self._stamps = ClockGuard()  # of the states
-        self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
+        counted = "states", "saturated", "without command", "not finite", "late", "refused references"
+        self._counts = dict.fromkeys(counted, 0)
         self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
         self._covariances, self._covariances_s = None, -np.inf  # `Bundle.covariances`, and the stamp of their frame
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
         self._everyone = list(range(len(self.names)))
-        self._all = np.ones(len(self.names), dtype=bool)
         self._reader = StatesReader(self.names, [vehicle.carries for vehicle in fleet_vehicles])
         self._message = ControlsMessage(self.names)
         self._trajectories = TrajectoriesArrays()
@@ -101,11 +102,11 @@ class ControllerNode:
         self._server = Server(config, self._on_reconfigure)
         for i, (vehicle, vehicle_type) in enumerate(zip(fleet_vehicles, types)):
             topic = "/%s/controller_status" % vehicle.namespace
-            rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
+            subscribe(topic, Bool, self._on_status, i, queue_size=1)
             if adapter_class(vehicle_type).NEEDS_BATTERY:
-                topic, take = "/%s/vehicle_status" % vehicle.namespace, self._on_vehicle_status
-                rospy.Subscriber(topic, VehicleStatus, take, callback_args=i, queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
+                topic = "/%s/vehicle_status" % vehicle.namespace
+                subscribe(topic, VehicleStatus, self._on_vehicle_status, i, queue_size=1)
+        subscribe("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None)
         self._subscribe()
         rospy.loginfo(
             "%s controls %s by %s and %s, acting %.0f ms ahead",
@@ -139,7 +140,7 @@ class ControllerNode:
         try:
             self._loop.set_params(settings_from(type(params), {**vars(params), **numbers}))  # which must be finite
         except ValueError as error:
-            rospy.logerr("numbers of the controller not taken: %s", error)
+            rospy.logerr("controller parameters rejected: %s", error)
             config.update({name: getattr(params, name) for name in numbers})
         return config
 
@@ -166,7 +167,7 @@ class ControllerNode:
                 self._take(trajectories.names, stamp_s, trajectories.derivatives.swapaxes(0, 1))
         if not stamp_s:
             rospy.logwarn_throttle(
-                10.0, "/trajectory comes without a stamp and is not flown: set header.stamp to the time it is meant for"
+                10.0, "/trajectory has no stamp and is not flown: set header.stamp to the time that it is meant for"
             )
 
     def _on_derivatives(self, message):
@@ -178,8 +179,14 @@ class ControllerNode:
         entry = self._buffers.get(names)
         if entry is None:
             entry = self._buffers[names] = self._new_buffer(names)
-        if not entry[0].push(stamp_s, sample):
+        buffer, _, columns = entry
+        taken = buffer.push(stamp_s, sample)
+        without = [names[k] for k in columns if not buffer.known[k]] if taken else []
+        if not taken or without:
             self._counts["refused references"] += 1
+        if without:
+            text = "the reference is not finite, no command is sent: %s"
+            rospy.logwarn_throttle(_AGAIN_S, text, ", ".join(without))
 
     def _new_buffer(self, names):
         columns = [k for k, name in enumerate(names) if name in self._index]
@@ -193,7 +200,6 @@ class ControllerNode:
             )
         return ReferenceBuffer(self._loop.controller.ORDER), [self._index[names[k]] for k in columns], columns
 
-    @until_shutdown
     def _on_states(self, message):
         started_s = time.perf_counter()
         with self._lock:
@@ -218,7 +224,8 @@ class ControllerNode:
             output = self._loop.update(stamp_s, sent_s, *told)
             # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
             # a state or a reference behind it would look alive.
-            known = usable & states.visible
+            asked = usable & states.visible
+            known = asked & output.finite
             self._publisher.publish(self._message.fill(header.stamp, output.controls, known))
             self._updated()
             self._answered = present, states, known
@@ -226,9 +233,15 @@ class ControllerNode:
             counts["states"] += 1
             counts["saturated"] += np.count_nonzero(output.saturated) > 0
             counts["without command"] += np.count_nonzero(known) < len(known)
+            broken = np.count_nonzero(known) < np.count_nonzero(asked)
+            counts["not finite"] += broken
             self._age_max_s = max(self._age_max_s, age_s)
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
             unknown = self._reader.unknown
+        if broken:
+            names = ", ".join(name for name, is_broken in zip(self.names, asked & ~known) if is_broken)
+            text = "the controller '%s' computes a command that is not finite: none is sent for %s"
+            rospy.logerr_throttle(_AGAIN_S, text, self._kind, names)
         if unknown and not self._attached.issuperset(unknown):
             text = "%s shows %s, which this controller does not fly"
             rospy.logwarn_throttle(60.0, text, self._states_topic, ", ".join(unknown))
@@ -240,12 +253,12 @@ class ControllerNode:
         """(references (k, orders, n, 4) at times (k,), (n,) bool: there is a fresh one)."""
         fresh = [e for e in self._buffers.values() if abs(now_s - e[0].newest_s) <= self._reference_timeout_s and e[1]]
         if len(fresh) == 1 and fresh[0][1] == self._everyone == fresh[0][2]:
-            return fresh[0][0].at(times_s), self._all
+            return fresh[0][0].at(times_s), fresh[0][0].known
         n = len(self.names)
         values, usable = np.zeros((len(times_s), self._loop.controller.ORDER + 1, n, 4)), np.zeros(n, dtype=bool)
         for buffer, rows, columns in sorted(fresh, key=lambda entry: entry[0].newest_s):
             values[:, :, rows] = buffer.at(times_s)[:, :, columns]
-            usable[rows] = True
+            usable[rows] = buffer.known[columns]
         return values, usable
 
     def _diagnose(self, status):
@@ -257,6 +270,7 @@ class ControllerNode:
         summarise(
             status,
             (rates["states"] == 0.0, 1, "no states on " + self._states_topic),
+            (rates["not finite"] > 0.0, 2, "the controller computes commands that are not finite: they are not sent"),
             (rates["without command"] > 0.0, 1, "a vehicle is not seen or has no fresh reference: no command for it"),
             (True, 0, "controlling"),
         )
@@ -307,7 +321,7 @@ def reconfigurable(params, texts):
 
 def _hear_newest(topic, kind, callback):
     """Of what has come meanwhile the newest is answered."""
-    rospy.Subscriber(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    subscribe(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES)
 
 
 def _errors_m(reference, states, known):

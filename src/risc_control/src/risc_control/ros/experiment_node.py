@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 import rospy
@@ -20,6 +21,7 @@ from risc_control.trajectories import COURSE_HEIGHT_M, origin
 from risc_control.vehicles import adapter_class
 from risc_lab.lab import load_vehicle_type
 from risc_lab.ros.fleet_messages import TrajectoriesArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.params import load_params, vehicles
 from risc_lab.settings import Positive, Settings
 
@@ -69,10 +71,7 @@ class _HearsAutopilot:
     """As the originals they hear the battery on /apm/status, too: where no vehicle node tells its vehicle's status."""
 
     def _subscribe(self):
-        def subscribe(topic, message, callback):
-            return rospy.Subscriber(topic, message, callback, queue_size=1, tcp_nodelay=True)
-
-        adapter_class(load_vehicle_type(IRIS)).listen("/", self._on_autopilot, subscribe)
+        adapter_class(load_vehicle_type(IRIS)).listen("/", self._on_autopilot, partial(subscribe, queue_size=1))
         super()._subscribe()
 
     def _on_autopilot(self, status, _driver):

@@ -14,8 +14,8 @@ from sensor_msgs.msg import Joy
 
 from risc_control.joystick import LATE_S, ButtonPresses
 from risc_lab.ros.clock import ros_time_s
+from risc_lab.ros.guard import guarded, subscribe
 from risc_lab.ros.sender import sender
-from risc_lab.ros.ticker import guarded
 from risc_lab.settings import Positive, Settings
 
 _CLAIMS = "/joystick_buttons/"
@@ -88,7 +88,7 @@ class ButtonSubscriber:
         self._lock = threading.Lock()  # every sender has a thread of its own
         claim_buttons(functions)
         # Every message: of a burst that a network held up, the first say that a press is old.
-        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
+        subscribe("joy", Joy, self._on_joy, queue_size=None)
         threading.Thread(target=self._run, daemon=True).start()
 
     def _on_joy(self, message):

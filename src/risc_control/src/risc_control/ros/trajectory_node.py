@@ -30,10 +30,10 @@ from risc_control.waypoints import Waypoints
 from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.ros.clock import SteadyClock
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
-from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.settings import Count, Settings, between, settings_from
 from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
@@ -109,8 +109,8 @@ class ManagerWiring:
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
             # every word: one that hung must not overlook that a vehicle was flown by hand meanwhile
-            rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=None, tcp_nodelay=True)
-        rospy.Subscriber("reference_order", UInt8, self._on_reference_order, queue_size=10, tcp_nodelay=True)
+            subscribe(topic, Bool, self._on_status, vehicle.template, queue_size=None)
+        subscribe("reference_order", UInt8, self._on_reference_order, queue_size=10)
         self._listens = smooth and listens
         self._watch()
 
@@ -170,7 +170,7 @@ class ManagerWiring:
             changed = self.manager.set_autonomous(name, message.data, self.clock.now_s())
         if changed:
             self._watch()
-            rospy.loginfo("%s: %s", name, "flown automatically" if message.data else "no longer flown automatically")
+            rospy.loginfo("%s: autonomous mode %s", name, "on" if message.data else "off")
 
     def _on_reference_order(self, message):
         with self.lock:
@@ -205,7 +205,7 @@ class ManagerWiring:
                 accepted = self.manager.accept(task, plan, self.clock.now_s())
                 task = self.manager.task
             if accepted and plan.closest_m < self.manager.safe_m:
-                rospy.logwarn("on their ways vehicles come within %.2f m of each other", plan.closest_m)
+                rospy.logwarn("on the way, vehicles come within %.2f m of each other", plan.closest_m)
 
 
 class ReferenceNode:
@@ -220,7 +220,6 @@ class ReferenceNode:
         )
         Ticker(1.0 / wiring.params.rate, self._on_tick, "the references' clock")
 
-    @until_shutdown
     def _on_tick(self):
         with self.wiring.lock:
             time_s, stamp_s = self.wiring.clock.now()

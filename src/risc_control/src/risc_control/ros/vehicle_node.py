@@ -9,12 +9,10 @@ import queue
 import socket
 import threading
 import time
-import traceback
 from collections import defaultdict
 from dataclasses import replace
 from functools import partial, wraps
 
-import genpy
 import numpy as np
 import rospy
 from sensor_msgs.msg import Joy
@@ -37,6 +35,7 @@ from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.guard import Failures, subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
@@ -118,32 +117,22 @@ class VehicleNode:
             vehicle.listen()
         for other in others:
             heard = partial(self._on_safety_of, other.template)
-            rospy.Subscriber("/%s/safety" % other.namespace, Safety, heard, queue_size=1, tcp_nodelay=True)
-        PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
+            subscribe("/%s/safety" % other.namespace, Safety, heard, on_error=self._on_error, queue_size=1)
+        paced = partial(PacedSubscriber, on_error=self._on_error)
+        paced("/controls", ControlsArrays.Raw, self._on_controls, tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
-        PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
-        PacedSubscriber("/trajectory", TrajectoriesArrays.Raw, self._guarded(self._on_references), _REFERENCES_HZ)
-        on_estimator = self._guarded(self._on_estimator)
-        rospy.Subscriber("/estimator_status", EstimatorStatus, on_estimator, queue_size=1, tcp_nodelay=True)
+        paced("/cortex_raw", CortexArrays.Raw, self._on_states, tick_hz)
+        paced("/trajectory", TrajectoriesArrays.Raw, self._on_references, _REFERENCES_HZ)
+        subscribe("/estimator_status", EstimatorStatus, self._on_estimator, on_error=self._on_error, queue_size=1)
         self._tickers = (
             Ticker(self._tick_s, self._on_tick, "the vehicles' clock"),
             Ticker(0.5, self._diagnostics.update, "the diagnostics"),
         )
 
-    def _guarded(self, work):
-        """`work` as a callback of all vehicles that outlives an exception; autonomous ones land when it fails."""
-
-        def run(message):
-            try:
-                return work(message)
-            except genpy.DeserializationError as error:  # silence is what the ladder knows how to deal with
-                rospy.logwarn_throttle(_ERROR_LOG_S, "a message is not understood: %s" % error)
-            except Exception as error:  # whatever it is, the next message must come
-                for vehicle in self._vehicles:
-                    vehicle.on_error(error)
-            return None
-
-        return run
+    def _on_error(self, error):
+        """A callback for all vehicles has failed."""
+        for vehicle in self._vehicles:
+            vehicle.give_up(error)
 
     def nearest(self, name):
         """`Separation.nearest` of now."""
@@ -290,7 +279,8 @@ def _contained(method):
         try:
             method(self, *arguments)
         except Exception as error:  # whatever it is, the next message must come
-            self.on_error(error)
+            if self.failures.note(error):
+                self.give_up(error)
 
     return run
 
@@ -310,6 +300,7 @@ class _Vehicle:
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
+        self.failures = Failures("%s: the vehicle node" % self.name)
         counted = "states", "states while not visible", "suspect states", "controls", "commands", "errors"
         self._counts = dict.fromkeys(counted, 0)
         self._growth = Growth()
@@ -330,38 +321,29 @@ class _Vehicle:
     def listen(self):
         """Begin: what arrives from now on counts."""
         # Every joystick message: of a burst that a network held up, the first say that a press is old.
-        rospy.Subscriber(self._prefix + "joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
-        subscribe = partial(rospy.Subscriber, queue_size=10, tcp_nodelay=True)
+        subscribe(self._prefix + "joy", Joy, self._on_joy, on_error=self.give_up, queue_size=None)
+        reports = partial(subscribe, on_error=self.give_up, queue_size=10)
         adapter = adapter_class(self._type)
-        adapter.listen(self._prefix, self._on_status, subscribe)
+        adapter.listen(self._prefix, self._on_status, reports)
         if not self._flies_itself:
-            adapter.listen_to_wire(self._prefix, self._on_wire, subscribe)
+            adapter.listen_to_wire(self._prefix, self._on_wire, reports)
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         where = rospy.get_name(), self.name, self._type.name, self._link.topic
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)
 
-    def on_error(self, error):
+    def give_up(self, error):
         """Something failed. An autonomous vehicle must not fly on with it; in manual mode its operator decides."""
-        if rospy.core.is_shutdown_requested():
-            return  # topics are closed already; the last orders are those of the shutdown
         self._counts["errors"] += 1
-        rospy.logerr_throttle(
-            _ERROR_LOG_S,
-            "%s: error in the vehicle node, please report it (%s: %s)\n%s"
-            % (self.name, type(error).__name__, error, traceback.format_exc()),
-        )
         now_s = time.monotonic()
         if self.pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
             self._error_land_s = now_s
             self._link.land()
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
 
-    @_contained
     def _on_joy(self, message):
         age_s, who = origin(message)
         self._act(lambda pilot, now_s: pilot.on_joy(message.buttons, message.axes, now_s, age_s, who))
 
-    @_contained
     def _on_status(self, status, driver):
         if _begins(driver, self._drivers_s):
             self._node.errands.put(lambda: self.compare(self._link.driver_overrides(driver), driver))
@@ -370,7 +352,6 @@ class _Vehicle:
             self._told.battery_pct = status.battery_pct
         self._tell()
 
-    @_contained
     def _on_wire(self):
         with self._lock:
             self.pilot.on_wire(time.monotonic())
@@ -413,7 +394,8 @@ class _Vehicle:
         """
         if not visible:
             self._counts["states while not visible"] += 1
-            self.pilot.on_unseen()
+            with self._lock:
+                self.pilot.on_unseen()
             return
         own = OwnState(row[:3], row[3:6], *(_RAD_PER_DEG * angle for angle in row[6:9]))
         with self._lock:

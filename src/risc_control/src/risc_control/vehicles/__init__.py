@@ -290,19 +290,17 @@ class ControlsConverter:
         """(`Controls` of arrays (n,), (n,) bool: a limit of the vehicle cut its command, or `saturated` said so).
 
         known: (n,) bool; where it is False the answer is level with the thrust of hover (zero acceleration, thesis
-        7.7).  Raises ValueError when a number of a vehicle that is known is not finite.
+        7.7).  A vehicle that is known and whose command is not finite gets NaN: no vehicle may be sent that.
         """
         roll, pitch, yaw_rate, thrust = map(floats, command)
         controls, cut = np.empty((4, len(known))), np.array(saturated)
-        if not _convert(roll, pitch, yaw_rate, thrust, known, self._conversions, controls, cut):
-            # raised here: an exception out of compiled code leaves its arrays in memory for ever
-            raise ValueError("refusing to command: a command, and so a state or a reference, is not finite")
+        _convert(roll, pitch, yaw_rate, thrust, known, self._conversions, controls, cut)
         return Controls(controls[0], controls[1], controls[2], controls[3]), cut
 
 
 @compiled
 def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, controls, cut):
-    """Fill controls (4, n), and set cut (n,), from arrays (n,). False when a number is not finite."""
+    """Fill controls (4, n), and set cut (n,), from arrays (n,)."""
     for i in range(len(known)):
         most, unit = conversions[i].most, conversions[i].unit
         if not known[i]:
@@ -311,7 +309,9 @@ def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, 
             controls[3, i] = conversions[i].hover_n / unit.thrust_n + conversions[i].zero_thrust
             continue
         if not math.isfinite(roll_rad[i] + pitch_rad[i] + yaw_rate_rad_s[i] + thrust_n[i]):
-            return False
+            cut[i] = False
+            controls[:, i] = math.nan
+            continue
         roll, pitch = clipped(roll_rad[i], most.roll_rad), clipped(pitch_rad[i], most.pitch_rad)
         rate = clipped(yaw_rate_rad_s[i], most.yaw_rate_rad_s)
         thrust = thrust_n[i] / unit.thrust_n + conversions[i].zero_thrust
@@ -319,7 +319,6 @@ def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, 
         cut[i] |= roll != roll_rad[i] or pitch != pitch_rad[i] or rate != yaw_rate_rad_s[i] or controls[3, i] != thrust
         controls[0, i], controls[1, i] = roll / unit.roll_rad, pitch / unit.pitch_rad
         controls[2, i] = rate / unit.yaw_rate_rad_s
-    return True
 
 
 @compiled

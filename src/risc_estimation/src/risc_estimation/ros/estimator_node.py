@@ -19,9 +19,9 @@ from risc_lab.command_history import command_of
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import CortexArrays
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.ticker import Ticker
-from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import BodyStatuses, CommandsSent
 
 _GAP_PERIODS = 1.5  # of frames; after so long without one it is missing
@@ -88,9 +88,7 @@ class EstimatorNode:
         if self._coasts:
             Ticker(self.period_s, self._on_gap, "states between frames")
         self._listen_on_board(self.estimator.on_board_wanted)
-        rospy.Subscriber(
-            topic, kind, self._on_frame, queue_size=self._queue_frames, buff_size=BUFFER_BYTES, tcp_nodelay=True
-        )
+        subscribe(topic, kind, self._on_frame, queue_size=self._queue_frames, buff_size=BUFFER_BYTES)
 
     def _on_frame(self, message):
         """A frame, in a thread of its own."""
@@ -99,23 +97,20 @@ class EstimatorNode:
     def _listen_on_board(self, wanted):
         """Subscribe to what the filter wants, and to nothing else."""
         if COMMAND in wanted:
-            rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands, queue_size=100, tcp_nodelay=True)
+            subscribe("/commands_sent", CommandsSent, self._on_commands, queue_size=100)
         if wanted <= {COMMAND}:
             return
         for vehicle in self._vehicles:
             kind = sensors.of_type(vehicle.type)
             if kind is not None:
                 topic, its_class = "/%s/%s" % (vehicle.namespace, kind.TOPIC), get_message_class(kind.TYPE)
-                arguments = vehicle.template, kind
-                rospy.Subscriber(topic, its_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
+                subscribe(topic, its_class, self._on_readings, (vehicle.template, kind), queue_size=10)
 
-    @until_shutdown
     def _on_commands(self, message):
         with self.lock:
             for sent in message.commands:
                 self.estimator.on_board(sent.name, sent.sent.to_sec(), COMMAND, command_of(sent))
 
-    @until_shutdown
     def _on_readings(self, message, arguments):
         with self.lock:
             sensors.give(self.estimator, *arguments, message)
@@ -144,7 +139,6 @@ class EstimatorNode:
         self._states_pub.publish(self._messages.states(header, estimate))
         self._tell_status()
 
-    @until_shutdown
     def _on_gap(self):
         """A frame is missing: states that the filter predicts, as old as those of the frames before it were."""
         with self.lock:
@@ -155,7 +149,6 @@ class EstimatorNode:
             if estimate is not None:
                 self._give(Header(stamp=rospy.Time.from_sec(stamp_s), frame_id=self._header.frame_id), estimate)
 
-    @until_shutdown
     def _on_check(self):
         """Once per silence: tell everybody that the last numbers are just that. The stamp stays what it was."""
         with self.lock:

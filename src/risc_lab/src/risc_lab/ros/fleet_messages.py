@@ -130,7 +130,7 @@ class FleetMessage(genpy.Message):
         buff.write(self._body.data)
 
     def deserialize(self, buff):
-        """As genpy's; buff: bytes. Raises genpy.DeserializationError when they are no such message."""
+        """As genpy's; buff: bytes. Raises genpy.DeserializationError when they are not such a message."""
         header = self.header
         try:
             header.seq, header.stamp.secs, header.stamp.nsecs, length = _HEADER.unpack_from(buff)

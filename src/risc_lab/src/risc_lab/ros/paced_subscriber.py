@@ -6,6 +6,9 @@ import weakref
 
 import rospy
 
+from risc_lab.ros.guard import guarded
+from risc_lab.ros.until_shutdown import is_closing
+
 BUFFER_BYTES = 2**20  # holds what arrives while a callback waits
 PICTURES_BYTES = 2**24  # the same for pictures: what waits is read at one go, and all but the newest is thrown away
 _open = weakref.WeakSet()  # what those that exist wait on, to be ended with the process
@@ -21,7 +24,7 @@ def _opened(over):
         is_first, _hooked = not _hooked, True
     if is_first:
         rospy.on_shutdown(_end_all)
-    if rospy.core.is_shutdown_requested():
+    if is_closing():
         over.set()
 
 
@@ -39,16 +42,17 @@ class PacedSubscriber:
     of the work of a plain subscription. The publisher does not notice: what waits is in a socket of our own.
 
     Each topic has a thread of its own; callbacks that share something lock it themselves. A callback that returns a
-    time of the monotonic clock is called next with the newest message of then instead.
+    time of the monotonic clock is called next with the newest message of then instead. It is guarded.
     """
 
-    def __init__(self, topic, message_class, callback, rate_hz, args=()):
-        self._callback = callback
+    def __init__(self, topic, message_class, callback, rate_hz, args=(), on_error=None):
+        """rate_hz: at most so often.  args: of the callback, after the message.  on_error: see `guard.guarded`."""
+        self._callback = guarded(callback, "the callback of " + topic, on_error)
         self._args = args
         self._period_s = 1.0 / rate_hz
         self._over = threading.Event()
         _opened(self._over)
-        self._subscriber = rospy.Subscriber(
+        self._subscriber = rospy.Subscriber(  # whose callback is guarded within
             topic, message_class, self._on_message, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
         )
 
@@ -61,12 +65,7 @@ class PacedSubscriber:
         if self._over.is_set():
             return
         start_s = time.monotonic()
-        try:
-            until_s = self._callback(message, *self._args)
-        except (rospy.ROSException, ValueError):
-            if not self._over.is_set():  # else: its topics were closed while it ran
-                raise
-            until_s = None
+        until_s = self._callback(message, *self._args)
         if until_s is None:
             until_s = start_s + self._period_s
         self._over.wait(max(0.0, until_s - time.monotonic()))

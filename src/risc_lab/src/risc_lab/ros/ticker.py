@@ -2,28 +2,10 @@
 
 import threading
 import time
-import traceback
 
 import rospy
 
-_LOG_PERIOD_S = 2.0
-
-
-def guarded(work, name):
-    """`work` as a function that outlives its exceptions, which are logged."""
-
-    def run():
-        try:
-            work()
-        except Exception as error:  # of any kind: the next call must come
-            if not rospy.core.is_shutdown_requested():  # topics are closed then
-                rospy.logerr_throttle(
-                    _LOG_PERIOD_S,
-                    "%s failed, please report it (%s: %s)\n%s"
-                    % (name, type(error).__name__, error, traceback.format_exc()),
-                )
-
-    return run
+from risc_lab.ros.guard import guarded
 
 
 def on_ros_time(period_s, work, name):

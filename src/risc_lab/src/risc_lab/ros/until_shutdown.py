@@ -5,6 +5,14 @@ import functools
 import rospy
 
 
+def is_closing():
+    """Whether the node shuts down, or has: rospy.is_shutdown() is false while its topics are closed already.
+
+    rospy has no documented name for it: no other file asks rospy.core.
+    """
+    return rospy.core.is_shutdown_requested()
+
+
 def until_shutdown(callback):
     """The callback, without the error it meets when rospy has closed its topics under it.
 
@@ -17,8 +25,7 @@ def until_shutdown(callback):
         try:
             callback(*args)
         except rospy.ROSException:
-            # topics are closed while it is on its way already, but not over: rospy.is_shutdown() is still false then
-            if not rospy.core.is_shutdown_requested():
+            if not is_closing():
                 raise
 
     return run

@@ -15,6 +15,7 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.until_shutdown import is_closing
 from risc_maap_msgs.msg import Crash, FaultKind, FaultKinds, FaultRecord, Faults, Told, WaveBoard
 from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBackResponse
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
@@ -161,7 +162,7 @@ class VirtualLabNode:
         try:
             publisher.publish(message)
         except rospy.ROSException:
-            if not rospy.core.is_shutdown_requested():
+            if not is_closing():
                 raise
 
     def _publish_faults(self):

@@ -36,6 +36,7 @@ from ardrone_autonomy.udp import UdpThread, resolve
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import tf_frame
 from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.until_shutdown import is_closing
 
 QUEUE_SIZE = 200  # of the telemetry topics, as in the original
 LOOPS_PER_CAMERA_FRAME = 5
@@ -338,7 +339,7 @@ class ArdroneDriver:
                 self._publish_until_shutdown()
             except Exception as error:  # noqa: PERF203  whatever it is: it must not fly on without telemetry
                 # while ROS shuts down topics close under our feet
-                if rospy.core.is_shutdown_requested() or self._ends_node(error):
+                if is_closing() or self._ends_node(error):
                     return
                 self._failing_since_s = None
                 self._begin_again(self.udp)
@@ -386,7 +387,7 @@ class ArdroneDriver:
         except Exception as error:  # whatever it is
             now_s = time.monotonic()
             self._failing_since_s = self._failing_since_s or now_s
-            if rospy.core.is_shutdown_requested() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
+            if is_closing() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
                 raise
             self._counts["packets not published"] += 1
             rospy.logerr_throttle(REPEAT_WARNING_S, "telemetry could not be published: %r" % error)

@@ -12,6 +12,7 @@ from ardrone_autonomy.video_channel import CameraTracker
 from ardrone_autonomy.video_stream import VideoStream
 from camera_info_manager import CameraInfoManager
 from risc_lab.ros.diagnostics import Growth, age_text
+from risc_lab.ros.until_shutdown import is_closing
 
 CAMERA_NAMES = ("front", "bottom")  # by channel
 QUEUE_SIZE = 10  # as in the original
@@ -90,7 +91,7 @@ class Video:
         try:
             self._send(picture, channel)
         except Exception as error:  # whatever it is: pictures are not worth a landing
-            if not rospy.core.is_shutdown_requested():  # then topics close under our feet
+            if not is_closing():  # then topics close under our feet
                 self._unpublished += 1
                 rospy.logerr_throttle(REPEAT_WARNING_S, "a picture could not be published: %r" % error)
 

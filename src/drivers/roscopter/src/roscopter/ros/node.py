@@ -16,6 +16,8 @@ from std_srvs.srv import EmptyResponse
 
 from risc_lab.ros import low_latency
 from risc_lab.ros.diagnostics import Growth, add_all, age_text, summarise, ticking_updater
+from risc_lab.ros.guard import subscribe
+from risc_lab.ros.until_shutdown import is_closing
 from roscopter import msg, orders, srv
 from roscopter.link import Link
 from roscopter.modes import mode_number
@@ -111,7 +113,7 @@ class Bridge:
         try:
             publisher.publish(convert(message, rospy.Time.now()))
         except Exception as error:  # of any kind: no message may end the link
-            if rospy.core.is_shutdown_requested():
+            if is_closing():
                 return  # topics close under our feet
             self._unpublished += 1
             rospy.logerr_throttle(REPEAT_WARNING_S, "a %s could not be published: %r" % (kind, error))
@@ -132,24 +134,15 @@ class Bridge:
             ("disarm", EmptySrv, lambda _request: self._answer_empty(srv.APMCommandRequest.CMD_DISARM)),
         ):
             rospy.Service(name, service_type, handler)
-        rospy.Subscriber(
+        subscribe(
             "send_rc",
             msg.RC,
             lambda message: link.post(autopilot.override, message.channel, time.monotonic()),
             queue_size=1,
-            tcp_nodelay=True,
         )
         if self._options.enable_watchdog:
-            rospy.Subscriber(
-                "watchdog",
-                Bool,
-                lambda message: link.post(autopilot.feed_watchdog, message.data),
-                queue_size=1,
-                tcp_nodelay=True,
-            )
-        rospy.Subscriber(
-            "emergency_stop", Empty, lambda _: link.post(autopilot.emergency_stop), queue_size=1, tcp_nodelay=True
-        )
+            subscribe("watchdog", Bool, lambda message: link.post(autopilot.feed_watchdog, message.data), queue_size=1)
+        subscribe("emergency_stop", Empty, lambda _: link.post(autopilot.emergency_stop), queue_size=1)
 
     def _on_command(self, request):
         return self._command(request.command).is_done
