@@ -34,6 +34,33 @@ LED_PIN = 1 << 27
 SET, CLEAR, TOGGLE = 1, 2, 3
 
 
+class MachineCode:
+    """An emulated board that runs the sketch as shipped, with the methods of risc_simulator's Board."""
+
+    def __init__(self, program):
+        """program: as `build` returns it."""
+        self._due, self._sent, self._edges = Due(*program), 0, 0
+
+    def receive(self, data):
+        self._due.uart.receive(data)
+
+    def advance(self, time_s):
+        self._due.run(max(0, int(1e6 * time_s) - self._due.now // CYCLES_PER_US))
+
+    def sent(self):
+        data = bytes(self._due.uart.sent[self._sent :])
+        self._sent += len(data)
+        return data
+
+    def edges(self):
+        found = self._due.edges[self._edges :]
+        self._edges += len(found)
+        return found
+
+    def close(self):
+        """Nothing is open."""
+
+
 def configured(folder, changes=(), **constants):
     """A copy of the sketch with other constants in its configuration.h, as a person would edit it.
 

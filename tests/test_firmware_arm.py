@@ -291,6 +291,45 @@ def test_an_interrupt_that_is_kept_waiting_costs_one_period(tmp_path, shipped):
             assert sum(lengths) == 2 * FRAME_US * due.TICKS_PER_US
 
 
+def led_of(board, *messages):
+    """(flashes, time on [ms]) of a second of the LED, in which these messages come, in turn, every 20 ms."""
+    turns, lit = itertools.cycle(messages), []
+    for _ in range(50):
+        if messages:
+            board.uart.receive(next(turns))
+        for _ in range(4):
+            board.run(5000)
+            lit.append(board.led())
+    return sum(now and not before for before, now in zip(lit[-1:] + lit[:-1], lit)), 5 * sum(lit)
+
+
+def test_the_led_tells_the_state(shipped):
+    """As in the table of firmware/README.md."""
+    board = due.Due(*shipped)
+    board.run(50_000)
+    lowest, refused = controls(0, 0, 0, -1), controls(0, 0, 0, 7.0)
+    seen = {"no host": led_of(board)}
+    board.uart.receive(protocol.REQUEST_TOPICS)
+    board.run(50_000)
+    seen["host, no command"] = led_of(board)
+    fly(board, 3 * [lowest])
+    seen["follows"] = led_of(board, lowest)
+    led_of(board, lowest, refused)
+    seen["refuses"] = led_of(board, lowest, refused)
+    led_of(board)
+    seen["failsafe"] = led_of(board)
+    expected = {
+        "no host": (1, 50),
+        "host, no command": (1, 500),
+        "follows": (0, 1000),
+        "refuses": (2, 200),
+        "failsafe": (5, 500),
+    }
+    assert seen == {
+        what: (flashes, pytest.approx(on_ms, abs=5 * (flashes + 1))) for what, (flashes, on_ms) in expected.items()
+    }
+
+
 def test_both_ports_compile(tmp_path):
     sketch = due.configured(tmp_path, [("dueppm.ino", "// #define USE_USBCON", "#define USE_USBCON")])
     due.compile_only(sketch, tmp_path)

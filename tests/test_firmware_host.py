@@ -23,6 +23,7 @@ TIME_REQUEST = bytes.fromhex("fffe0800f70a000000000000000000f5")
 
 
 def compiled(folder, name, *options, standard="gnu++11"):
+    """A program of firmware/test with sanitizers. options: also further sources."""
     program = folder / name
     source = due.FIRMWARE / "test" / (name + ".cpp")
     # Not optimized, with little for a debugger: they run for seconds, and compiling would take a multiple of that.
@@ -70,6 +71,16 @@ def test_they_would_without_the_checks(fuzz):
     assert done.returncode == 1 and "BROKEN: us from the command" in done.stdout, done.stdout[-4000:]
 
 
+@pytest.mark.parametrize("steps", ["20000", pytest.param("500000", marks=pytest.mark.release)], ids=["small", "large"])
+def test_the_library_of_the_lab_survives_any_calls(tmp_path, steps):
+    program = compiled(tmp_path, "fuzz_host", str(due.FIRMWARE / "host/dueppm_host.cpp"))
+    done = subprocess.run([str(program), steps, "3"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    print(done.stdout)
+    assert done.returncode == 0, done.stdout[-4000:]
+    seen = {what: int(count) for count, what in re.findall(r"(\d+) ([a-z ]+)", done.stdout)}
+    assert min(seen["frames"], seen["commanded frames"], seen["packets"], seen["resets"]) > 50, "or nothing was tried"
+
+
 @pytest.mark.parametrize("header", HEADERS, ids=lambda path: path.name)
 def test_each_header_compiles_alone(header):
     flags = ["-std=gnu++11", "-fno-exceptions", "-fno-rtti", *WARNINGS, "-fsyntax-only", "-x", "c++"]
@@ -90,19 +101,43 @@ def test_each_header_compiles_alone(header):
         ({"kYawChannel": 3}, "two sticks on one channel"),
         ({"kFailsafeMs": 10}, "kFailsafeMs: at least four frames"),
         ({"kFailsafeThrottleUs": 800}, "kFailsafeThrottleUs: kShortestUs to kLongestUs"),
+        ({"kThrottleTravelUs": -500}, "kFailsafeThrottleUs: at the throttle's lowest end"),
+        ({"kThrottleTravelUs": -500, "kFailsafeThrottleUs": 1999}, "kFailsafeThrottleUs: at the throttle's lowest end"),
+        ({"kFailsafeThrottleUs": 1500}, "kFailsafeThrottleUs: at the throttle's lowest end"),
+        ({"kFailsafeThrottleUs": 1001}, "kFailsafeThrottleUs: at the throttle's lowest end"),
+        ({"kThrottleTravelUs": 0}, "kFailsafeThrottleUs: at the throttle's lowest end"),
         ({"kJump": 0}, "kJump: above 0"),
         ({"kSlewUsPerS": 0}, "kSlewUsPerS"),
     ],
     ids=lambda value: "-".join(map(str, itertools.chain(*value.items()))) if isinstance(value, dict) else "",
 )
 def test_a_configuration_that_does_not_fit_does_not_compile(tmp_path, constants, says):
-    sketch = due.configured(tmp_path, **constants)
-    program = tmp_path / "main.cpp"
-    program.write_text('#include "dueppm/firmware.h"\ndueppm::Firmware<dueppm::Configuration> firmware;\n')
-    command = ["g++", "-std=gnu++11", "-fsyntax-only", "-I", str(sketch.parent), str(program)]
-    done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
+    done = syntax_checked(tmp_path, constants)
     assert done.returncode != 0
     assert says in done.stderr
+
+
+@pytest.mark.parametrize(
+    "constants",
+    [
+        {"kThrottleTravelUs": -500, "kFailsafeThrottleUs": 2050},
+        {"kThrottleTravelUs": -500, "kFailsafeThrottleUs": 2000},
+        {"kFailsafeThrottleUs": 1000},
+    ],
+    ids=str,
+)
+def test_a_failsafe_at_the_lowest_end_of_the_throttle_compiles(tmp_path, constants):
+    done = syntax_checked(tmp_path, constants)
+    assert done.returncode == 0, done.stderr
+
+
+def syntax_checked(folder, constants):
+    """The finished compiler, of a sketch with these constants."""
+    sketch = due.configured(folder, **constants)
+    program = folder / "main.cpp"
+    program.write_text('#include "dueppm/firmware.h"\ndueppm::Firmware<dueppm::Configuration> firmware;\n')
+    command = ["g++", "-std=gnu++11", "-fsyntax-only", "-I", str(sketch.parent), str(program)]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True)
 
 
 # --- the library, and messages of ROS

@@ -1,9 +1,15 @@
-"""The node's link and the firmware as machine code of the Due, in an emulator: messages in, edges of the signal out.
+"""The firmware as machine code of the Due, in an emulator: messages in, edges of the signal out, at 57600 baud.
 
-In simulated time, at 57600 baud; nothing depends on the computer's speed.
+With the node's link, in simulated time: nothing depends on the computer's speed. Then with serial_node itself, from a
+message of ROS on, in real time: for that the emulator needs half a core.
 """
 
+import json
+import os
+import pathlib
 import shutil
+import subprocess
+import sys
 
 import due
 import pytest
@@ -15,37 +21,11 @@ pytestmark = pytest.mark.skipif(
 STEADY = 20  # commands from the first on, and before the last, that are not measured
 
 
-class MachineCode:
-    """An emulated board, with the methods of risc_simulator's Board."""
-
-    def __init__(self, program):
-        self._due, self._sent, self._edges = due.Due(*program), 0, 0
-
-    def receive(self, data):
-        self._due.uart.receive(data)
-
-    def advance(self, time_s):
-        self._due.run(max(0, int(1e6 * time_s) - self._due.now // due.CYCLES_PER_US))
-
-    def sent(self):
-        data = bytes(self._due.uart.sent[self._sent :])
-        self._sent += len(data)
-        return data
-
-    def edges(self):
-        found = self._due.edges[self._edges :]
-        self._edges += len(found)
-        return found
-
-    def close(self):
-        """Nothing is open."""
-
-
 @pytest.fixture(autouse=True)
 def emulated(monkeypatch, tmp_path):
     """The chains of this test have the machine code at their end."""
     program = due.build(due.FIRMWARE / "dueppm", tmp_path)
-    monkeypatch.setattr(bench, "Board", lambda: MachineCode(program))
+    monkeypatch.setattr(bench, "Board", lambda: due.MachineCode(program))
 
 
 def test_messages_in_and_edges_out(capsys):
@@ -54,7 +34,7 @@ def test_messages_in_and_edges_out(capsys):
     counts = chain.link.facts.counts
     assert counts["packets"] > 12 and counts["damaged"] == counts["lost"] == counts["replaced"] == 0
     assert set(chain.receiver.counts) <= {"frames", "no gap before"}
-    sent = [(at_s, k % bench.STEPS) for k, at_s in enumerate(chain.posted_s)][STEADY:-STEADY]
+    sent = [(at_s, number) for number, at_s in enumerate(chain.posted_s)][STEADY:-STEADY]
     delays = bench.percentiles(bench.delays_s(sent, chain.frames))
     with capsys.disabled():
         print("\n" + bench.line_of("machine code: frame begins [ms]", delays))
@@ -63,6 +43,22 @@ def test_messages_in_and_edges_out(capsys):
 
 @pytest.mark.release
 @pytest.mark.parametrize("what", ["noise both ways", "loss both ways"])
-def test_the_signal_follows_again_after_damage(what):
-    back = bench.after_damage(what, 10)
+@pytest.mark.parametrize("lasts_s", [bench.SHORT_S, bench.LONG_S], ids=["short", "long"])
+def test_the_signal_follows_again_after_damage(what, lasts_s):
+    back = bench.after_damage(what, 10, lasts_s)
     assert back["host"]["max_ms"] <= 100.0 and back["signal"]["max_ms"] <= 100.0
+
+
+@pytest.mark.release
+def test_through_the_node(capsys):
+    """How long a command takes depends on the computer's load. That it arrives does not."""
+    program = "import json, serial_line as b; print(json.dumps(b.through_the_node(40, b.machine_code())))"
+    path = os.pathsep.join((str(pathlib.Path(bench.__file__).parent), os.environ.get("PYTHONPATH", "")))
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE, timeout=300.0
+    )
+    assert done.returncode == 0
+    figures = json.loads(done.stdout.splitlines()[-1])
+    with capsys.disabled():
+        print("\n" + bench.line_of("serial_node, machine code: frame begins", figures["signal"]))
+    assert 0.0 < figures["board"]["p50_ms"] < figures["signal"]["p50_ms"] < float("inf")

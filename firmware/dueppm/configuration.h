@@ -1,4 +1,4 @@
-// Everything that a laboratory may want to change. What does not fit together does not compile.
+// All settings that a lab may want to change. Inconsistent settings do not compile.
 #pragma once
 
 #include <stdint.h>
@@ -21,24 +21,26 @@ struct Configuration {
   static constexpr int kThrottleChannel = 3;
   static constexpr int kYawChannel = 4;
 
-  // A stick at the fraction f is kCentreUs + f * its travel. A negative travel reverses the channel.
+  // A stick at the fraction f is kCentreUs + f * its travel. A negative travel reverses the channel; a
+  // reversed throttle needs another kFailsafeThrottleUs.
   static constexpr int32_t kCentreUs = 1500;
   static constexpr int32_t kRollTravelUs = 500;
   static constexpr int32_t kPitchTravelUs = 500;
   static constexpr int32_t kThrottleTravelUs = 500;
   static constexpr int32_t kYawTravelUs = 500;
 
-  // Which messages are believed.
+  // Which messages are accepted.
   static constexpr const char* kVehicle = "";    // the `name` in controls; "": that of the first message
   static constexpr double kFractionMax = 1.001;  // a message with a larger fraction is refused
-  static constexpr double kJump = 0.25;  // a larger change is believed when the next message confirms it
+  static constexpr double kJump = 0.25;  // a larger change is accepted when the next message confirms it
   static constexpr int32_t kSlewUsPerS = 5000;  // no channel changes faster
   static constexpr int32_t kFailsafeMs = 500;   // without an accepted message
 
-  // What failsafe does with the throttle; the other sticks go to their centre. An autopilot takes a throttle
-  // below its own limit (ArduCopter's FS_THR_VALUE: 975 us) for a lost radio, and lands.
-  static constexpr int32_t kFailsafeThrottleUs = 950;  // also before the first message
-  static constexpr bool kFailsafeHolds = false;        // true: the throttle stays where it was
+  // The throttle in failsafe and before the first message; the other sticks go to their centre. An autopilot
+  // treats a throttle below its own limit (ArduCopter's FS_THR_VALUE: 975 us) as a lost radio, and lands.
+  // At the throttle's lowest end or beyond it: 2050 if the throttle is reversed.
+  static constexpr int32_t kFailsafeThrottleUs = 950;
+  static constexpr bool kFailsafeHolds = false;  // true: the throttle stays where it was
 
   // The line to the host computer.
   static constexpr uint32_t kBaud = 57600;

@@ -33,6 +33,12 @@ class Sticks {
   static_assert(C::kSlewUsPerS >= 500 && C::kSlewUsPerS <= 60000, "kSlewUsPerS: 500 to 60000");
   static_assert(C::kFailsafeThrottleUs >= C::kShortestUs && C::kFailsafeThrottleUs <= C::kLongestUs,
                 "kFailsafeThrottleUs: kShortestUs to kLongestUs");
+  // Else the failsafe, and a board that waits for its first message, would command thrust.
+  static_assert(C::kThrottleTravelUs > 0 ? C::kFailsafeThrottleUs <= C::kCentreUs - C::kThrottleTravelUs
+                                         : C::kThrottleTravelUs < 0 &&
+                                               C::kFailsafeThrottleUs >= C::kCentreUs - C::kThrottleTravelUs,
+                "kFailsafeThrottleUs: at the throttle's lowest end or beyond it; with a reversed throttle "
+                "(negative kThrottleTravelUs) that is at least kCentreUs - kThrottleTravelUs");
 
   static constexpr int32_t kSlewTicks =
       static_cast<int32_t>(int64_t{C::kSlewUsPerS} * kTicksPerUs * C::kFrameUs / 1000000);

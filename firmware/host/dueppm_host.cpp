@@ -77,7 +77,6 @@ class Board {
 
   std::deque<uint8_t>& sent() { return sent_; }
   std::deque<dueppm_edge>& edges() { return edges_; }
-  bool led() const { return firmware_.led_is_on(now_ms()); }
 
  private:
   using Firmware = dueppm::Firmware<Configuration>;
@@ -162,9 +161,5 @@ void dueppm_advance(void* board, uint64_t time_us) {
 
 size_t dueppm_edges(void* board, struct dueppm_edge* edges, size_t most) {
   return Board::take(of(board).edges(), edges, most);
-}
-
-int dueppm_led(void* board) {
-  return of(board).led() ? 1 : 0;
 }
 }

@@ -28,7 +28,6 @@ void dueppm_advance(void* board, uint64_t time_us);
 /* Takes up to `most` edges of the output, oldest first; how many. Of edges that nobody takes the newest 4096
  * are kept. */
 size_t dueppm_edges(void* board, struct dueppm_edge* edges, size_t most);
-int dueppm_led(void* board); /* 1: the LED is on */
 
 #ifdef __cplusplus
 }

@@ -27,6 +27,10 @@ struct Eight : Configuration {
 struct Holds : Configuration {
   static constexpr bool kFailsafeHolds = true;
 };
+struct Reversed : Configuration {
+  static constexpr int32_t kThrottleTravelUs = -500;
+  static constexpr int32_t kFailsafeThrottleUs = 2050;
+};
 struct OneVehicle : Configuration {
   static constexpr const char* kVehicle = "IRIS";
 };
@@ -139,6 +143,20 @@ TEST(Sticks, WaitAtFailsafeThrottle) {
   EXPECT_EQ(flight.throttle_us(), 950);
   EXPECT_EQ(flight.roll_us(), 1500);
   EXPECT_EQ(flight.sticks.state(), State::kWaiting);
+}
+
+TEST(Sticks, AReversedThrottleIsLowestAtItsLongest) {
+  Flight<Reversed> flight;
+  flight.frames(100);
+  EXPECT_EQ(flight.throttle_us(), 2050);
+  flight.follow(0, -1, 10);
+  EXPECT_EQ(flight.sticks.state(), State::kFlying);
+  EXPECT_EQ(flight.throttle_us(), 2000);
+  flight.follow(0, 0.2, 20);
+  EXPECT_EQ(flight.throttle_us(), 1400);
+  flight.frames(50);
+  EXPECT_EQ(flight.sticks.state(), State::kFailsafe);
+  EXPECT_EQ(flight.throttle_us(), 2050);
 }
 
 TEST(Sticks, ThrottleIsLockedUntilItWasLowest) {

@@ -25,7 +25,7 @@ BENCHMARKS = {
     "control": ("time per frame of controller and vehicle pilot", [PYTHON, str(HERE / "control.py"),
                                                                    "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
-    "serial_line": ("line to the board of an IRIS+: back after damage, dead line noticed, ROS message to signal",
+    "serial_line": ("line to the board of an IRIS+: back after damage and outages, dead line, ROS message to signal",
                     [PYTHON, str(HERE / "serial_line.py"), "--json", "{json}"]),
     "drawing": ("markers for rviz: time per drawing, up to 50 vehicles", [PYTHON, str(HERE / "drawing.py"),
                                                                           "--json", "{json}"]),

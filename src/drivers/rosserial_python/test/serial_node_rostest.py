@@ -309,7 +309,7 @@ class SerialNodeTest(unittest.TestCase):
             publisher.publish(message)
             node.wait_state(SerialLink.UP, SerialLink.SIZE)
             self.assertEqual(node.links[-1].oversized_topics, ["controls"])
-            wait_for(lambda: node.said("own vehicle's commands"), "the cure")
+            wait_for(lambda: node.said("its own vehicle's commands"), "the cure")
             self.assertNotIn(serialised(message), board.of_topic(CONTROLS))
 
     def test_other_definitions_are_refused_and_the_rest_works(self):

@@ -62,8 +62,8 @@ class ScriptedLine:
 class Scene:
     """A link, its line and the time; `device(bytes written)` gives what the device answers to them, at once."""
 
-    def __init__(self, device=None, **options):
-        self.link, self.line, self.now_s = Link(), ScriptedLine(**options), 100.0
+    def __init__(self, device=None, silence_s=0.3, **options):
+        self.link, self.line, self.now_s = Link(silence_s), ScriptedLine(**options), 100.0
         self.device = device
         self.sent = []  # (time, packet) to the device
         self.heard = []  # packets from it
@@ -79,7 +79,9 @@ class Scene:
         self.heard += (found := self.link.received(data, self.now_s))
         for topic_id, payload in found:
             if topic_id in (Id.PUBLISHER, Id.SUBSCRIBER):
-                self.link.confirm(protocol.topic_of(payload), self.now_s)
+                topic = protocol.topic_of(payload)
+                if topic.name != "unknown":
+                    self.link.confirm(topic, self.now_s)
         self.link.tick(self.now_s)
         packets = self.line.packets()
         self.sent += [(self.now_s, packet) for packet in packets]
@@ -195,21 +197,107 @@ def test_a_question_that_comes_too_soon_is_asked_later():
     assert scene.requests() == pytest.approx([100.0, 100.1], abs=2 * STEP_S)
 
 
-def test_a_device_that_comes_back_is_up_at_its_first_packet_and_asked_for_its_topics():
+def lost_for(duration_s):
+    """A scene whose device was lost, and now says that it is alive, but not yet what its topics are."""
     scene = Scene(answers)
     scene.run(2.0)
     scene.device = None
-    scene.run(1.0)
+    scene.run(duration_s)
     assert scene.state is State.WAITING
     scene.sent.clear()
     scene.run(0.01, {0.0: encode(STATUS.topic_id, b"x")})
     assert scene.state is State.UP
+    return scene
+
+
+def commands(scene):
+    """Payloads that were sent to CONTROLS until now."""
+    scene.look(b"")
+    return [packet.payload for _, packet in scene.sent if packet.topic_id == CONTROLS.topic_id]
+
+
+def test_a_device_that_was_lost_for_long_gets_messages_after_it_has_announced_its_topics():
+    scene = lost_for(3.0)
     scene.link.post(CONTROLS.topic_id, b"command", scene.now_s)
     scene.run(0.05)
-    assert all(packet.topic_id != CONTROLS.topic_id for _, packet in scene.sent), "perhaps it has another program now"
+    assert commands(scene) == [], "perhaps it has another program now"
     scene.device = answers
     scene.run(0.2)
-    assert (CONTROLS.topic_id, b"command") in [packet for _, packet in scene.sent]
+    assert commands(scene) == [b"command"]
+
+
+def test_a_device_that_was_lost_for_a_moment_gets_messages_at_its_first_packet():
+    scene = lost_for(2.0)
+    scene.link.post(CONTROLS.topic_id, b"command", scene.now_s)
+    scene.run(0.01)
+    assert commands(scene) == [b"command"]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [announcement(Id.SUBSCRIBER, CONTROLS._replace(name="unknown")), announcement(Id.PUBLISHER, STATUS)],
+    ids=["another topic of this id", "no topic of this id"],
+)
+def test_a_device_that_was_lost_for_a_moment_and_has_another_program_gets_no_messages_for_the_old_one(answer):
+    scene = lost_for(2.0)
+    scene.device = lambda packet: answer if packet == (Id.PUBLISHER, b"") else b""
+    scene.run(2.5)
+    scene.link.post(CONTROLS.topic_id, b"command", scene.now_s)
+    assert commands(scene) == []
+
+
+def test_a_device_behind_a_reopened_port_may_be_another_one():
+    scene = Scene(answers)
+    scene.run(2.0)
+    scene.device = None
+    scene.run(0.5)
+    assert scene.state is State.WAITING
+    scene.link.closed(scene.now_s)
+    scene.link.opened(scene.line, scene.now_s)
+    scene.run(0.01, {0.0: encode(STATUS.topic_id, b"x")})
+    scene.link.post(CONTROLS.topic_id, b"command", scene.now_s)
+    assert scene.state is State.UP and commands(scene) == []
+
+
+def test_a_device_that_was_lost_is_asked_more_often_for_a_while():
+    scene = Scene(answers)
+    scene.run(2.0)
+    scene.device = None
+    scene.run(5.0)
+    at_s = [asked_s - scene.link.facts.heard_s for asked_s in scene.requests()]
+    apart_s = [(a, b - a) for a, b in itertools.pairwise(at_s) if a >= 0.3]
+    assert all(0.03 <= apart < 0.05 for since, apart in apart_s if since < 2.4)
+    assert all(0.14 < apart < 0.16 for since, apart in apart_s if since > 2.5)
+    answer_s = (len(ANSWER) - len(encode(Id.TIME, bytes(8)))) * BYTE_S
+    assert min(apart for _, apart in apart_s) >= answer_s, "no faster than it can answer"
+
+
+def test_noise_that_looks_like_the_head_of_a_long_packet_does_not_hide_that_a_device_is_back():
+    scene = Scene(answers)
+    scene.run(2.0)
+    scene.device = None
+    scene.run(0.35)
+    assert scene.state is State.WAITING
+    begin_s, head = scene.now_s, encode(200, bytes(1780))[:20]
+    came = {0.02 * k: encode(Id.TIME, bytes(8)) for k in range(1, 100)}  # one byte in GAP_S, and it would be given up
+    scene.run(0.1, {0.0: head, **came})
+    assert scene.state is State.UP and scene.now_s - begin_s < 0.11
+    scene.device = answers
+    scene.run(0.5)
+    scene.heard.clear()
+    scene.look(encode(STATUS.topic_id, bytes(1780)))
+    assert [len(packet.payload) for packet in scene.heard] == [1780], "no limit for a device that is there"
+
+
+def test_with_a_long_silence_the_boot_loader_of_an_arduino_mega_is_left_2_5_s_between_requests():
+    """It does not start the sketch while bytes come."""
+    scene = Scene(answers, silence_s=5.0)
+    scene.run(20.0)
+    scene.device = None
+    scene.run(30.0)
+    assert scene.state is State.WAITING
+    asked_s = [at_s for at_s in scene.requests() if at_s > scene.link.facts.heard_s + 4.9]
+    assert all(b - a > 2.49 for a, b in itertools.pairwise(asked_s)) and len(asked_s) > 8
 
 
 def test_after_damage_the_device_is_asked_and_not_only_when_it_publishes_next():

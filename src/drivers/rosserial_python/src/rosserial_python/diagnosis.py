@@ -34,23 +34,24 @@ class Cause(enum.IntEnum):
 
 TEXTS = {
     Cause.NONE: "",
-    Cause.MISSING: "there is no such port: is the cable in? `ls -l /dev/serial/by-id` shows the devices that are there",
-    Cause.FORBIDDEN: "this user may not open it: sudo usermod -aG dialout $USER, and log in again",
-    Cause.TAKEN: "another program has locked it: end it (serial monitor, second serial_node)",
-    Cause.UNREACHABLE: "no connection: is the device on, in this network, and are address and port right?",
-    Cause.PORT_FAILED: "the port fails: plug it in anew, and look at dmesg",
-    Cause.VERSION: "the device speaks the protocol of ROS groovy: build its sketch with a newer ros_lib",
-    Cause.SPEED: "bytes come, but no packet: set ~baud to that of the sketch; is it a rosserial device, is no other "
-    "program reading the port?",
-    Cause.SILENT: "not one byte comes: wrong port, wrong USB socket of the board (USE_USBCON), or no sketch in it",
-    Cause.STOPPED: "the device answers no more: power, reset, or a loop() that blocks; or another reader of the port",
-    Cause.TYPES: "topics are refused: build the sketch with a ros_lib that was made from this workspace's messages",
-    Cause.SIZE: "messages do not fit into the device's buffer: publish shorter ones, or enlarge it in the sketch",
-    Cause.BREAKS: "it is lost and comes back, again and again: power supply, loose cable, or a loop() that blocks",
-    Cause.DAMAGE: "damaged packets: cable and ground, Serial.print in the sketch, another reader, or too many "
-    "bytes for the line",
+    Cause.MISSING: "no such port: is the cable plugged in? `ls -l /dev/serial/by-id` lists the devices",
+    Cause.FORBIDDEN: "permission denied: sudo usermod -aG dialout $USER, then log in again",
+    Cause.TAKEN: "the port is in use: stop the other program (serial monitor, second serial_node)",
+    Cause.UNREACHABLE: "no connection: check the device's power and network, the address and the port",
+    Cause.PORT_FAILED: "the port failed: unplug and replug it, and check dmesg",
+    Cause.VERSION: "the device speaks the protocol of ROS groovy: rebuild its sketch with a newer ros_lib",
+    Cause.SPEED: "bytes arrive, but no packets: set ~baud to the sketch's baud rate; check that this is a rosserial "
+    "device, and that no other program reads the port",
+    Cause.SILENT: "no data: wrong port, wrong USB connector of the board (USE_USBCON), or no sketch loaded",
+    Cause.STOPPED: "the device has stopped answering: check its power, reset it, look for a loop() that blocks, or for "
+    "another program that reads the port",
+    Cause.TYPES: "topics rejected: rebuild the sketch with a ros_lib generated from this workspace's messages",
+    Cause.SIZE: "messages exceed the device's buffer: publish shorter ones, or enlarge the buffer in the sketch",
+    Cause.BREAKS: "the link keeps dropping: check the power supply and the cable, look for a loop() that blocks",
+    Cause.DAMAGE: "corrupt packets: check the cable and the ground, look for Serial.print in the sketch, another "
+    "program that reads the port, or more data than the line carries",
 }
-WARNINGS = frozenset((Cause.TYPES, Cause.SIZE, Cause.BREAKS, Cause.DAMAGE))  # it works, more or less; the others: no
+WARNINGS = frozenset((Cause.TYPES, Cause.SIZE, Cause.BREAKS, Cause.DAMAGE))  # the link works all the same
 
 _OF_ERRNO = {
     errno.ENOENT: Cause.MISSING,

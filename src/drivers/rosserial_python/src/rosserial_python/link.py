@@ -21,6 +21,8 @@ _IN_FLIGHT_BYTES = 256  # that may wait in the kernel or for an acknowledgement 
 _FULL_LINE_S = 0.002  # until it is looked at again
 _WORRY_S = 0.02  # without a sound packet after a damaged one: the device is asked
 _APART_S = 0.05  # between two such questions
+_LOST_APART_S = 0.03  # between two requests to a device that was lost just now, unless its answer takes longer
+_SAME_PROGRAM_S = 2.5  # without a sound packet: a device has the same program, as loading another one takes longer
 _AGAIN_S = 0.1  # between two requests while topics are missing
 _SECOND_REQUEST_S = 1.0  # after the first announcement: one that was lost without a trace is found
 _GROOVY_EVERY = 8  # requests to a device that never answered: it may speak the old protocol
@@ -77,14 +79,16 @@ class Link:
         self._silence_s = silence_s
         self._lock = threading.Lock()
         self._line = self._decoder = None
-        self._answers = {}  # {(id, topic id): bytes} of announcements: how much a device answers to a request
+        self._answers = {}  # {(id, topic id): (bytes, hash)} of announcements: what a device answers to a request
         self._missing = set()  # those that it made before it was lost, and not again yet
         self._unsure = False  # something damaged came since the last request: it may have been an announcement
-        self._announced = set()  # topic ids since the device was lost last
+        self._announced = set()  # topic ids to which messages may go
+        self._announced_before = set()  # those of a device that was lost
         self._announced_s = None  # when the first of them was announced
         self._asked_s = self._suspected_s = -math.inf  # last request; damage that no sound packet has followed
         self._asked_again = False
         self._rest = b""  # of a packet that was begun
+        self._longest_bytes = protocol.PLAUSIBLE_BYTES  # payload
         self._free_s = -math.inf  # when the line has sent what it was given
         self._replies, self._waiting = deque(maxlen=_REPLIES), {}  # packets; {topic id: _Waiting}
         self.opened_s = -math.inf
@@ -96,6 +100,7 @@ class Link:
         """A line was opened; asks for topics at once."""
         with self._lock:
             self._line, self._decoder, self.failure = line, Decoder(line.byte_s), None
+            self._longest_bytes = protocol.PLAUSIBLE_BYTES
             self.opened_s, facts = now_s, self.facts
             facts.state = State.WAITING
             if facts.waits_s is None:
@@ -120,6 +125,10 @@ class Link:
         """Sound packets that are complete with these bytes; b"" when none came until now."""
         with self._lock:
             facts, decoder = self.facts, self._decoder
+            decoder.longest_bytes = self._longest_bytes
+            if self._lost_just_now(now_s):
+                # only the answer counts: noise that looks like the head of a long packet must not hide it
+                decoder.longest_bytes = max(size for size, _ in self._answers.values())
             damaged, stray = decoder.damaged, decoder.stray_bytes
             packets = decoder.feed(data, now_s)
             facts.bytes += len(data)
@@ -132,13 +141,20 @@ class Link:
                 self._suspected_s = now_s
                 self._unsure |= now_s < self._asked_s + self.limit_s
             if packets:
+                if now_s < facts.heard_s + _SAME_PROGRAM_S:
+                    self._announced |= self._announced_before
+                self._announced_before = set()
                 facts.heard_s, facts.waits_s, facts.state = now_s, None, State.UP
                 if decoder.stray_bytes == stray:
                     self._suspected_s = -math.inf
             for topic_id, payload in packets:
                 if topic_id in protocol.ANNOUNCEMENTS:
-                    self._answers[topic_id, payload[:2]] = len(payload) + protocol.OVERHEAD
-                    self._missing.discard((topic_id, payload[:2]))
+                    key = topic_id, int.from_bytes(payload[:2], "little")
+                    answer = len(payload) + protocol.OVERHEAD, hash(payload)
+                    if self._answers.get(key, answer) != answer:
+                        self._announced.discard(key[1])  # another program, until `confirm` is called
+                    self._answers[key] = answer
+                    self._missing.discard(key)
                     self._announced_s = now_s if self._announced_s is None else self._announced_s
             self._flush(now_s)
             return packets
@@ -152,7 +168,7 @@ class Link:
     @property
     def _answer_s(self):
         """How long a device answers to a request [s]."""
-        return sum(self._answers.values()) * self._line.byte_s if self._line else 0.0
+        return sum(size for size, _ in self._answers.values()) * self._line.byte_s if self._line else 0.0
 
     def tick(self, now_s):
         """Notice a loss, ask, write what may be written; after `received`, and as soon as `due_s` says."""
@@ -163,8 +179,10 @@ class Link:
                 self._lose(now_s)
                 self.facts.state = State.WAITING
                 self._line.discard()
-                self._rest, self._free_s = b"", now_s
+                self._free_s = now_s
+                before = set(self._announced)
                 self._forget()
+                self._announced_before = before
             if now_s >= self._ask_s():
                 self._ask(now_s)
             self._flush(now_s)
@@ -181,11 +199,17 @@ class Link:
                 due_s = min(due_s, self._free_s if self._free_s > now_s else now_s + _FULL_LINE_S)
             return due_s
 
+    def _lost_just_now(self, now_s):
+        """Whether a device was lost whose answer is known."""
+        is_recent = now_s < self.facts.heard_s + _SAME_PROGRAM_S
+        return self.facts.state is State.WAITING and bool(self._answers) and is_recent
+
     def _ask_s(self):
         """When the device is to be asked for its topics next."""
         asked_s, quiet_s = self._asked_s, 0.5 * self._silence_s
         if self.facts.state is not State.UP:
-            return asked_s + quiet_s
+            soon_s = min(quiet_s, max(_LOST_APART_S, self._answer_s))
+            return asked_s + (soon_s if self._lost_just_now(asked_s) else quiet_s)
         # a device that answers for long is asked so that the answers take half of the line at most
         due_s = max(self.facts.heard_s + quiet_s, asked_s + max(0.5 * quiet_s, 2.0 * self._answer_s))
         if math.isfinite(self._suspected_s):
@@ -202,7 +226,8 @@ class Link:
         self._suspected_s, self._unsure = -math.inf, False
         if self._announced_s is not None and now_s >= self._announced_s + _SECOND_REQUEST_S:
             self._asked_again = True
-            self._answers = {key: size for key, size in self._answers.items() if key not in self._missing}
+            self._answers = {key: answer for key, answer in self._answers.items() if key not in self._missing}
+            self._announced -= {topic_id for _, topic_id in self._missing}
             self._missing.clear()  # the device has another program
         self._asked_s = now_s
         if protocol.REQUEST_TOPICS not in self._replies:
@@ -219,6 +244,7 @@ class Link:
     def _forget(self):
         """What a device said counts no more: it may come back as another one."""
         self._announced.clear()
+        self._announced_before.clear()
         self._replies.clear()
         self._missing = set(self._answers)
         self._announced_s, self._asked_again, self._suspected_s, self._rest = None, False, -math.inf, b""
@@ -239,7 +265,7 @@ class Link:
             if self._line is None:
                 return
             self._announced.add(topic.topic_id)
-            self._decoder.longest_bytes = max(self._decoder.longest_bytes, min(topic.buffer_bytes, protocol.MOST_BYTES))
+            self._longest_bytes = max(self._longest_bytes, min(topic.buffer_bytes, protocol.MOST_BYTES))
             self._flush(now_s)
 
     def post(self, topic_id, payload, now_s, expires_s=math.inf):

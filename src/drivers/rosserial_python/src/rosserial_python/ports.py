@@ -48,7 +48,7 @@ class Line:
             if data or (self._is_terminal and not self._is_readable()):
                 return data
             number = errno.ENODEV if self._is_terminal else errno.ECONNRESET
-            raise OSError(number, "the other end has closed the line, or the device is gone")
+            raise OSError(number, "the other end has closed the connection, or the device is gone")
         return b""
 
     def _is_readable(self):
@@ -222,7 +222,7 @@ class ListeningPort:
             if self._guests.may_come(peer[0], connection.getsockname()[0]):
                 return connection, peer
             connection.close()
-            self.strangers.refuse(peer[0], "if it is a device add its address to ~tcp_from")
+            self.strangers.refuse(peer[0], "if it is a device, add its address to ~tcp_from")
         return None
 
     def should_reopen(self, _line, _silent_s):

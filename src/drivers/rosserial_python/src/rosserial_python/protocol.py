@@ -17,7 +17,7 @@ OVERHEAD = _HEAD_BYTES + _TAIL_BYTES  # [bytes] of a packet beside its payload
 MOST_BYTES = 0xFFFF  # payload that the length can say
 FIRST_TOPIC = 100  # ids below are the protocol's own
 GAP_S = 0.03  # no byte for so long within a packet: its rest was lost (a device sends packets in one go)
-_PLAUSIBLE_BYTES = 2048  # payload of a device that has announced no larger buffer
+PLAUSIBLE_BYTES = 2048  # payload of a device that has announced no larger buffer
 _GROOVY_TIME = b"\xff\xff\x0a\x00\x08\x00"  # how a device of ROS groovy begins to ask for the time
 GROOVY_REQUEST = b"\xff\xff\x00\x00\x00\x00\xff"  # what such a device answers; a newer one ignores it
 
@@ -70,7 +70,7 @@ class Topic(NamedTuple):
 def encode(topic_id, payload=b""):
     """Bytes of a packet. Raises ValueError for a payload that no packet can hold."""
     if len(payload) > MOST_BYTES:
-        raise ValueError("a packet holds at most %d bytes, not %d" % (MOST_BYTES, len(payload)))
+        raise ValueError("a packet holds at most %d bytes, got %d" % (MOST_BYTES, len(payload)))
     low, high = len(payload) & 0xFF, len(payload) >> 8
     body = bytes((topic_id & 0xFF, topic_id >> 8)) + payload
     return b"%b%c%c%c%b%c" % (_HEAD, low, high, 255 - (low + high) % 256, body, 255 - sum(body) % 256)
@@ -91,7 +91,7 @@ class Decoder:
         self._bytes = bytearray()  # begins with what may be a packet
         self._begun_s = self._last_s = 0.0  # when its first byte, and the newest one, came
         self._last_bytes = b""
-        self.longest_bytes = _PLAUSIBLE_BYTES  # of a payload; a larger one is damage
+        self.longest_bytes = PLAUSIBLE_BYTES  # of a payload; a larger one is damage
         self.packets = 0  # sound ones
         self.damaged = 0  # begun and not sound
         self.stray_bytes = 0  # bytes in no sound packet
@@ -180,9 +180,9 @@ def topic_of(payload):
         raise PayloadError("TopicInfo: %s" % error) from None
     topic = Topic(topic_id, name, kind, md5sum, buffer_bytes)
     if at + 4 != len(payload) or topic_id < FIRST_TOPIC or buffer_bytes <= 0:
-        raise PayloadError("TopicInfo: not plausible: %r" % (topic,))
+        raise PayloadError("TopicInfo: invalid: %r" % (topic,))
     if not (_NAME.fullmatch(name) and _TYPE.fullmatch(kind) and _MD5.fullmatch(md5sum)):
-        raise PayloadError("TopicInfo: not plausible: %r" % (topic,))
+        raise PayloadError("TopicInfo: invalid: %r" % (topic,))
     return topic
 
 
@@ -204,7 +204,7 @@ def name_of(payload):
     except (struct.error, UnicodeDecodeError) as error:
         raise PayloadError("RequestParam: %s" % error) from None
     if end != len(payload) or not _NAME.fullmatch(name):
-        raise PayloadError("RequestParam: no name of a parameter: %r" % name)
+        raise PayloadError("RequestParam: not a valid parameter name: %r" % name)
     return name
 
 

@@ -33,14 +33,14 @@ def known_class(topic, half=None):
         found = None
     if found is None:
         raise TypesError(
-            "%s (%s): this type is not in the workspace: build its package, and source the workspace"
-            % (topic.name, topic.type)
+            "%s (%s): message type not found: build its package, and source the workspace" % (topic.name, topic.type)
         )
     kind = getattr(found, half) if half else found
     if kind._md5sum != topic.md5sum:
         raise TypesError(
-            "%s: %s has other fields in the device (md5 %s) than here (%s): make its ros_lib anew from this "
-            "workspace's messages, and load the sketch again" % (topic.name, topic.type, topic.md5sum, kind._md5sum)
+            "%s: the definition of %s differs between the device (md5 %s) and this workspace (%s): regenerate ros_lib "
+            "from this workspace's messages, and upload the sketch again"
+            % (topic.name, topic.type, topic.md5sum, kind._md5sum)
         )
     return found
 
@@ -54,7 +54,7 @@ def read_message(message_class, payload):
     except (genpy.MessageException, ValueError, MemoryError) as error:
         raise PayloadError("%s: %s" % (message_class._type, error)) from None
     if again != payload:  # genpy reads what is too long, too short, or no text
-        raise PayloadError("%s: %d bytes that are no such message" % (message_class._type, len(payload)))
+        raise PayloadError("%s: %d bytes that are not such a message" % (message_class._type, len(payload)))
     return message
 
 

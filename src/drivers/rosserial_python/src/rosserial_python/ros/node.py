@@ -13,8 +13,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from risc_lab.ros.diagnostics import add_all, age_text, summarise, ticking_updater
+from risc_lab.ros.guard import guarded
 from risc_lab.ros.params import load_params
-from risc_lab.ros.ticker import Ticker, guarded
+from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import Counter, SerialLink
 from rosserial_python.diagnosis import TEXTS, WARNINGS, Cause, cause_of
 from rosserial_python.link import State
@@ -47,7 +48,7 @@ def read_params(arguments):
         params = replace(params, port=arguments[0])
     if len(arguments) > 1:
         if not arguments[1].isdecimal():
-            raise ValueError("the second argument is the number of a TCP port, not %r" % arguments[1])
+            raise ValueError("the second argument must be the number of a TCP port, not %r" % arguments[1])
         params = replace(params, tcp_port=int(arguments[1]))
     return params
 
@@ -164,7 +165,9 @@ class SerialNode:
         try:
             port = make_port(params, lambda _level, text: rospy.logwarn("%s", text))
         except OSError as error:
-            raise ValueError("cannot listen on TCP port %d: %s; end what has it" % (params.tcp_port, error)) from None
+            raise ValueError(
+                "cannot listen on TCP port %d: %s; stop the program that uses it" % (params.tcp_port, error)
+            ) from None
         self._link = rospy.Publisher("~link", SerialLink, queue_size=10, latch=True)
         self._devices, self._over = {}, threading.Event()  # {name of its status: Device}
         self._updater = ticking_updater(port.name)
@@ -203,7 +206,7 @@ class SerialNode:
                 if len(self._devices) < _MOST_DEVICES:
                     self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer, port.baud), once=True)
                 else:
-                    port.refuse(line, peer, "%d devices have connected, more are not served" % _MOST_DEVICES)
+                    port.refuse(line, peer, "%d devices are connected, which is the limit" % _MOST_DEVICES)
             for name, device in list(self._devices.items()):
                 if device.session.is_over:
                     self._updater.removeByName(name)

@@ -61,9 +61,9 @@ class ServerRequest(_Half):
         with self._turn:
             half = self.topics.member(Id.SERVER_RESPONSE, topic.name)
             if half is None or self.topics.session.link.facts.state is not State.UP:
-                raise rospy.ServiceException("%s: the device does not answer" % topic.name)
+                raise rospy.ServiceException("%s: the device is not connected" % topic.name)
             if not self.topics.fits(topic, len(data)):
-                raise rospy.ServiceException("%s: the request does not fit into the device" % topic.name)
+                raise rospy.ServiceException("%s: the request exceeds the device's buffer" % topic.name)
             answers = half.answers
             while not answers.empty():  # one that came too late
                 answers.get()
@@ -74,7 +74,7 @@ class ServerRequest(_Half):
                 raise rospy.ServiceException("%s: no answer within %g s" % (topic.name, _ANSWER_S)) from None
 
     def close(self):
-        self._service.shutdown("the device has another program, or the node ends")
+        self._service.shutdown("the device has another program, or the node shuts down")
 
 
 class ClientResponse(_Half):

@@ -17,7 +17,7 @@ import rospy
 
 from risc_lab.message_age import MessageAges
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.ticker import guarded
+from risc_lab.ros.guard import guarded
 from risc_lab.ros.until_shutdown import until_shutdown
 from rosserial_msgs.srv import RequestParamResponse
 from rosserial_python import protocol
@@ -33,7 +33,7 @@ _REPEAT_S = 5.0  # between equal complaints
 _STAMP = struct.Struct("<4xII")  # of std_msgs/Header
 _LOG = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr, rospy.logfatal)
 _TOO_LARGE = {  # what helps, by type
-    "risc_msgs/Controls": "give it its own vehicle's commands alone (NAMESPACE/controls), not a fleet's (/controls)",
+    "risc_msgs/Controls": "send it only its own vehicle's commands (NAMESPACE/controls), not the fleet's (/controls)",
 }
 
 
@@ -90,7 +90,7 @@ class Topics:
                 self._message(topic_id, payload)
         except PayloadError as error:
             self.counts["bad payloads"] += 1
-            rospy.logwarn_throttle(_REPEAT_S, "a damaged packet was refused: %s", error)
+            rospy.logwarn_throttle(_REPEAT_S, "dropped a corrupt packet: %s", error)
 
     def _announced(self, kind, topic):
         key = (kind, topic.topic_id)
@@ -104,7 +104,7 @@ class Topics:
             self._doubted[key] = topic  # another program, or damage that the sum does not see: the next one tells
             self._session.ask_topics()
         elif len(self._members) + len(self._refused) >= _MOST_TOPICS and known is None:
-            raise PayloadError("the device has announced %d topics, no more are joined" % _MOST_TOPICS)
+            raise PayloadError("the device has announced %d topics; further topics are ignored" % _MOST_TOPICS)
         else:
             self._later(self._join, kind, topic)
 
@@ -121,7 +121,7 @@ class Topics:
         try:
             self._jobs.put_nowait((function, arguments))
         except queue.Full:
-            rospy.logerr_throttle(_REPEAT_S, "the master does not answer: a question of the device is not answered")
+            rospy.logerr_throttle(_REPEAT_S, "the ROS master does not respond: a request of the device was dropped")
 
     # --- with the master -------------------------------------------------------------------------------------------
     def _work(self):
@@ -161,7 +161,7 @@ class Topics:
                 rospy.logerr(
                     "the device asks for the parameter %s, which %s",
                     rospy.resolve_name(name),
-                    "is not set" if value is None else "is no number, no text and no list of one of them",
+                    "is not set" if value is None else "is not a number, a string or a list of either",
                 )
         self.reply(Id.PARAMETER, response)
 
@@ -171,7 +171,7 @@ class Topics:
         try:
             data = serialised(message)
         except genpy.SerializationError as error:  # e.g. a parameter that fits into no int32
-            rospy.logerr("an answer to the device cannot be sent: %s", error)
+            rospy.logerr("cannot send a reply to the device: %s", error)
         else:
             self._session.reply(topic_id, data)
 
@@ -190,12 +190,14 @@ class Topics:
         self._oversized[topic.name] = time.monotonic()
         rospy.logerr_throttle(
             _REPEAT_S,
-            "%s: a message of %d bytes is not sent, the device's buffer holds %d: %s"
+            "%s: dropped a message of %d bytes, the device's buffer holds %d: %s"
             % (
                 topic.name,
                 size,
                 topic.buffer_bytes,
-                _TOO_LARGE.get(topic.type, "publish shorter ones, or enlarge the buffers of the sketch's NodeHandle"),
+                _TOO_LARGE.get(
+                    topic.type, "publish shorter messages, or enlarge the buffers of the sketch's NodeHandle"
+                ),
             ),
         )
         return False
@@ -258,7 +260,7 @@ class ToDevice:
         expires_s = math.inf if self._ages is None else topics.expires_s(self._ages, raw)
         if expires_s is None:
             rospy.logwarn_throttle(
-                _REPEAT_S, "%s: messages are older than ~max_age when they come, and are not sent" % self._topic.name
+                _REPEAT_S, "%s: messages arrive older than ~max_age, and are dropped" % self._topic.name
             )
             return
         topics.session.post(self._topic.topic_id, raw, expires_s)
