@@ -106,11 +106,13 @@ def test_a_driver_is_told_what_to_open(tmp_path, monkeypatch):
     content.update(name="wired", devices={"line": "socket://{address}:11411"})
     (folder / "wired.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     (folder / "wired.launch").write_text(
-        "<launch><arg name='namespace'/><arg name='line'/>"
-        "<param name='/$(arg namespace)/line' type='str' value='$(arg line)'/></launch>"
+        "<launch><arg name='namespace'/><arg name='line'/><arg name='lift'/><group ns='/$(arg namespace)'>"
+        "<param name='line' type='str' value='$(arg line)'/><param name='lift' value='$(arg lift)'/></group></launch>"
     )
     monkeypatch.setenv("RISC_MAAP_MEMBERS", str(tmp_path))
-    assert load(tmp_path, monkeypatch, risc1="wired")[1]["/risc1/line"].value == "socket://127.77.1.1:11411"
+    params = load(tmp_path, monkeypatch, risc1="wired")[1]
+    assert params["/risc1/line"].value == "socket://127.77.1.1:11411"
+    assert params["/risc1/lift"].value == content["own"]["lift"], "a number of its own"
 
 
 @pytest.mark.parametrize(

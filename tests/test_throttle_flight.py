@@ -7,7 +7,8 @@ import yaml
 
 from data_extraction.throttle_fit import FitParams, fit_bag
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
-from risc_lab.lab.vehicle_types import vehicle_type_file
+from risc_lab.lab.vehicle_types import own_numbers, vehicle_type_file
+from risc_lab.radio_sticks import RadioSticks
 from risc_simulator.world import World
 
 SEED, LIFE_S = 1, 300.0  # the battery of this one is small: it drains by 60 % while it flies
@@ -54,5 +55,5 @@ def test_the_fit_of_a_flight_is_the_labs_curve(tmp_path, monkeypatch):
     off = np.abs(found.scaled(pct) - true).max()
     print("off by %.4f of %.4f, rms of the residuals %.4f" % (off, np.ptp(true), found.rms))
     assert off < 0.01 * np.ptp(true)
-    shipped = np.polynomial.polynomial.polyval(pct, load_vehicle_type("iris").hover_throttle)
+    shipped = np.polynomial.polynomial.polyval(pct, own_numbers(load_vehicle_type("iris"), RadioSticks).hover_throttle)
     assert np.abs(shipped - true).max() > 0.01 * np.ptp(true), "this vehicle is another than the nominal one"

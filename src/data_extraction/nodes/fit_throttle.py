@@ -10,6 +10,8 @@ from data_extraction import plots
 from data_extraction.command_line import bag_parser, folder_beside, run
 from data_extraction.throttle_fit import FitParams, fit_bag
 from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 from risc_lab.settings import settings_from
 
 OPTIONS = {  # -> the setting, and what it is
@@ -35,7 +37,7 @@ def main():
 
     def work(progress):
         params = settings_from(FitParams, {item.name: getattr(args, item.name) for item in fields(FitParams)})
-        shipped = load_vehicle_type(args.type).hover_throttle
+        shipped = own_numbers(load_vehicle_type(args.type), RadioSticks).hover_throttle
         name, fit = fit_bag(args.bag, args.vehicle, params, progress)
         progress.clear()
         print(text_of(name, fit, args.type, shipped))
@@ -45,12 +47,12 @@ def main():
         snippet, picture = folder / "hover_throttle.yaml", folder / "hover_throttle.png"
         points = fit.points.pct
         snippet.write_text(
-            "# %s in %s, %.0f to %.0f %%: for the YAML file of its vehicle type\n%s\n"
+            "# %s in %s, %.0f to %.0f %%: for `own` in the YAML file of its vehicle type\n%s\n"
             % (name, args.bag.name, points[-1], points[0], line),
             encoding="utf-8",
         )
         with plots.style():
-            compared = ("that of type '%s'" % args.type, shipped) if shipped else None
+            compared = "that of type '%s'" % args.type, shipped
             plots.save_png(plots.hover_throttle(fit, "%s: throttle that hovers" % name, compared), picture)
         print("%s\n%s\n%s" % (line, snippet, picture))
 
@@ -66,10 +68,9 @@ def text_of(name, fit, kind, shipped):
     lines += ["  c%d %16.9g +- %.2g" % (i, *both) for i, both in enumerate(zip(fit.coefficients, fit.intervals))]
     lines.append("  curve +- %.4f (95 %%)" % fit.interval(points.pct).max())
     lines.append("  residuals: rms %.4f, largest %+.4f at %.0f %%" % (fit.rms, residuals[worst], points.pct[worst]))
-    if shipped:
-        off = fit.scaled(points.pct) - np.polynomial.polynomial.polyval(points.pct, shipped)
-        worst = np.abs(off).argmax()
-        lines.append("  from the curve of type '%s': up to %+.4f, at %.0f %%" % (kind, off[worst], points.pct[worst]))
+    off = fit.scaled(points.pct) - np.polynomial.polynomial.polyval(points.pct, shipped)
+    worst = np.abs(off).argmax()
+    lines.append("  from the curve of type '%s': up to %+.4f, at %.0f %%" % (kind, off[worst], points.pct[worst]))
     lines.append("  outside this range of charge the curve is a guess")
     return "\n".join(lines)
 

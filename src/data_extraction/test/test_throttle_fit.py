@@ -5,7 +5,6 @@ import pathlib
 import runpy
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,12 +15,14 @@ import yaml
 from data_extraction.throttle_fit import FitParams, HoverPoints, fit, fit_bag, hover_points
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 from risc_maap_msgs.msg import VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States
 from roscopter.msg import Status
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes/fit_throttle.py"
-CURVE = load_vehicle_type("iris").hover_throttle
+CURVE = own_numbers(load_vehicle_type("iris"), RadioSticks).hover_throttle
 T0_S, LIFE_S = 500.0, 900.0
 
 
@@ -153,7 +154,7 @@ def test_the_command_writes_a_line_for_the_type_file(long_bag, tmp_path):
     assert np.abs(off).max() < 0.01 * np.ptp(true_throttle(pct))
     assert "IRIS" in said and "hover_throttle: [" in said
     assert (tmp_path / "hover_throttle.png").read_bytes().startswith(b"\x89PNG")
-    replace(load_vehicle_type("iris"), hover_throttle=tuple(coefficients))  # a type takes them
+    RadioSticks(tuple(coefficients))  # a type takes them
 
 
 def test_bags_of_the_original_have_no_namespace(tmp_path):

@@ -5,8 +5,8 @@
 
 Usage: fleet_value.py FLEET mocap SOURCE | FLEET NAMESPACE KEY | FLEET drivers FOLDER OUT [KEY:=VALUE...] NAMESPACE...
 mocap: prints ~mocap of stream_markers for a source of motion capture, see config/sources of cortex_ros.
-A vehicle's KEY is one of its own, one of its type's (video_latency_s ...), one of its type's devices (what its driver
-opens), or camera_info_url: prints its value.
+A vehicle's KEY is one of its own, one of its type's (video_latency_s ..., keys of `own`), one of its type's devices
+(what its driver opens), or camera_info_url: prints its value.
 drivers: writes the launch file OUT that starts the drivers of these vehicles, and prints whose they are. For each
 vehicle it includes the launch file of its type, with those of its arguments that are a KEY; is_first is true for the
 first vehicle of a driver. FOLDER holds the launch files of the types in the tree. A KEY:=VALUE counts before the
@@ -94,7 +94,8 @@ def _values(fleet, name):
     own = vars(vehicle)
     calibration = own["calibration"]
     url = "file://%s" % resolve_url(calibration).absolute() if calibration else ""
-    return {**vars(vehicle.vehicle_type), **own, **vehicle.links, "camera_info_url": url}
+    kind = vehicle.vehicle_type
+    return {**kind.own, **vars(kind), **own, **vehicle.links, "camera_info_url": url}
 
 
 def main():

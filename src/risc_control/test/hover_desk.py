@@ -12,8 +12,11 @@ from risc_control.vehicles import Command, Controls, ControlsConverter, FlightSt
 from risc_control.vehicles.iris import hover_throttle, without_dead_zone
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 
 IRIS = load_vehicle_type("iris")
+DEAD = own_numbers(IRIS, RadioSticks).stick_dead_zone
 STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
 
 
@@ -64,8 +67,7 @@ class Iris:
         if self.armed and now_s - self.heard_s > 1.0:  # failsafe of the board, then of the autopilot
             self.mode = "LAND"
         roll, pitch, turn = (
-            -without_dead_zone(stick, IRIS.stick_dead_zone)
-            for stick in (self.sticks.left, self.sticks.forward, self.sticks.turn_left)
+            -without_dead_zone(stick, DEAD) for stick in (self.sticks.left, self.sticks.forward, self.sticks.turn_left)
         )
         thrust_m_s2 = G * self.more * (1.0 + self.sticks.up - hover_throttle(IRIS, self.battery_pct))
         if self.mode == "LAND":

@@ -3,6 +3,8 @@
 import json
 import math
 import pathlib
+import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +19,7 @@ from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
 from risc_simulator.faults import parse_fault
+from risc_simulator.vehicles import virtual_type
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
 SPRING = MEMBERS.parents[2] / "risc_simulator" / "test" / "members"
@@ -100,6 +103,32 @@ def test_one_controller_flies_a_fleet_of_two_types():
     assert result.rmse_m.max() < 0.03
 
 
+@pytest.mark.parametrize(
+    ("own", "complaint"),
+    [
+        ("{lift: 2.4, lifts: 3}", "own: unknown key.s. lifts; known are lift$"),
+        ("{lift: much}", "own: 'lift' must be a number, found 'much'"),
+        ("{}", "own: 'lift' is missing"),
+    ],
+)
+def test_numbers_of_its_own_are_read_as_strictly_as_the_others(monkeypatch, tmp_path, own, complaint):
+    """By both sides, each before it flies."""
+    shutil.copytree(MEMBERS, tmp_path / "members")
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(tmp_path / "members"))
+    path = tmp_path / "members/vehicle_types/toy_quad.yaml"
+    path.write_text(re.sub("(?m)^own:.*$", "own: " + own, path.read_text()))
+    toy, error = load_vehicle_type("toy_quad"), "%s: %s" % (re.escape(str(path)), complaint)
+    with pytest.raises(ValueError, match=error):
+        adapter_class(toy)
+    with pytest.raises(ValueError, match=error):
+        virtual_type("toy_quad").Firmware(toy, np.random.default_rng(0), False, 0.0)
+
+
+def test_who_has_no_numbers_of_its_own_takes_none():
+    with pytest.raises(ValueError, match=r"ardrone.yaml: own: unknown key\(s\) lift"):
+        adapter_class(replace(load_vehicle_type("ardrone"), own={"lift": 2.0}))
+
+
 def test_with_the_delay_of_the_other_type_it_flies_worse():
     """Of each vehicle its own is what counts."""
     types = [load_vehicle_type(name) for name in ("ardrone", "toy_quad")]
@@ -120,7 +149,8 @@ def test_its_gains_and_units_are_its_own():
     assert controls.phi == pytest.approx([-0.1 / (1.1714 * 0.349066), 0.1]), "a fraction; radians"
     adapter = adapter_class(types[1])(types[1], 49.0)
     sinks = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, -0.2), 0.0, 0.0, 0.0)
-    assert not adapter.HOLDS_POSITION and adapter.move(0.0, 0.0, 0.0, sinks).up > 0.05, "it is held by us"
+    weights = adapter.numbers.weights(adapter.move(0.0, 0.0, 0.0, sinks).up)
+    assert not adapter.HOLDS_POSITION and weights > 1.05, "it is held by us"
 
 
 def test_what_the_fleet_file_says_counts_for_controller_adapter_and_plant():

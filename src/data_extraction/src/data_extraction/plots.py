@@ -354,7 +354,7 @@ def fence_margin(margins, zero_s, faults=()):
     return figure
 
 
-def hover_throttle(fit, title, shipped=None):
+def hover_throttle(fit, title, shipped):
     """Points, curve and 95 % band of a ThrottleFit, and its residuals.
 
     shipped: (name, coefficients) of another curve, to compare with.
@@ -367,10 +367,9 @@ def hover_throttle(fit, title, shipped=None):
     axes.plot(pct, fit.scaled(pct), color=ACTUAL, label="fit of order %d" % (len(fit.coefficients) - 1))
     band = fit.interval(pct)
     axes.fill_between(pct, fit.scaled(pct) - band, fit.scaled(pct) + band, color=ACTUAL, alpha=0.25, lw=0)
-    if shipped:
-        name, coefficients = shipped
-        curve = np.polynomial.polynomial.polyval(pct, coefficients)
-        axes.plot(pct, curve, color=DESIRED, lw=1.0, ls="--", label=name)
+    name, coefficients = shipped
+    curve = np.polynomial.polynomial.polyval(pct, coefficients)
+    axes.plot(pct, curve, color=DESIRED, lw=1.0, ls="--", label=name)
     axes.set_ylabel("throttle that hovers [-1, 1]")
     axes.legend()
     below.axhline(0.0, color=ACTUAL, lw=1.0)

@@ -8,7 +8,7 @@ Kalman filters on what motion capture says and the commands in force, for each a
   better damped loop as of a later link, which are much the same below their bandwidth. Rates by differencing noisy
   angles are noisy or late; the model of the attitude loop knows them better. How well gain and lag are known goes by
   what is commanded, so this filter carries its covariance.
-- height: the same of a climb loop that follows a climb rate (`Adapter.FOLLOWS_CLIMB_RATE`),
+- height: the same of a climb loop that follows a climb rate (not `VehicleType.takes_thrust`),
   height'' = (driven - height') / tau. Of a type that is told its thrust nothing is learnt here: its vehicle node trims
   the throttle.
 - way: position, velocity and the push, an acceleration by which both go otherwise than tilt and drag explain: wind,
@@ -36,7 +36,7 @@ from risc_control.delay_prediction import (
     loops,
     stepped,
 )
-from risc_control.vehicles import adapter_class, clipped
+from risc_control.vehicles import clipped
 from risc_lab.command_history import Channel
 from risc_lab.compiled import compiled, record
 
@@ -104,7 +104,7 @@ def observer(vehicle_types, params):
     height = params.height_noise_m, params.climb_disturbance_m_s2, params.climb_level_m_s2, *learnt
     unknown = np.tile([tilt, height], (len(vehicle_types), 1, 1))
     for kind, vehicle_type in enumerate(vehicle_types):
-        if not adapter_class(vehicle_type).FOLLOWS_CLIMB_RATE:
+        if vehicle_type.takes_thrust:
             unknown[kind, 1, 2:] = 0.0
     return steps, (unknown**2).view(_UNKNOWN)[..., 0]
 

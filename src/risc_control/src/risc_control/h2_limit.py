@@ -102,7 +102,7 @@ def axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s):
         H[0, 0], H[1, 2] = 1.0, sense
         full_scale_m_s2 = GRAVITY_M_S2 * loop.gain * vehicle_type.tilt_max_rad
         axes.append(Axis(full_scale_m_s2, A, b, g, H, C[np.ix_([position, turn], [position, turn])]))
-    damping_1_s = drag_1_s if vehicle_type.hover_throttle else drag_1_s + 1.0 / vehicle_type.climb_time_constant_s
+    damping_1_s = drag_1_s if vehicle_type.takes_thrust else drag_1_s + 1.0 / vehicle_type.climb_time_constant_s
     A, b, g = np.array([[0.0, 1.0, 0.0], [0.0, -damping_1_s, 1.0], [0.0, 0.0, 0.0]]), np.eye(3)[1], np.zeros(3)
     A[2, 2], g[2] = gust
     full_scale_m_s2 = vehicle_type.climb_max_m_s / vehicle_type.climb_time_constant_s

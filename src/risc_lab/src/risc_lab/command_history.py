@@ -17,7 +17,8 @@ ROWS = 1024  # of the ring: a second of commands at 1 kHz
 class Channel(IntEnum):
     """Columns of a command, which is what a vehicle settles at, the gain of its loops included; NED senses.
 
-    Roll and pitch [rad], what the climb loop of its type takes [+ up; AR.Drone: m/s], yaw rate [rad/s].
+    Roll and pitch [rad], climb rate [m/s, + up] or, of a type that takes thrust, how much it lifts more than its weight
+    [weights], yaw rate [rad/s].
     """
 
     PHI, THETA, CLIMB, YAW_RATE = range(4)

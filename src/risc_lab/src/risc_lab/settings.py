@@ -19,7 +19,7 @@ import re
 import threading
 import typing
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 
 import msgspec
 import numpy as np
@@ -62,6 +62,11 @@ class Settings:
         for key, hint in _hints(type(self)).items():
             value = _convert(getattr(self, key), hint, "", key)
             object.__setattr__(self, key, value)  # a whole number for a float, a list for a tuple
+
+
+@dataclass(frozen=True)
+class NoParams(Settings):
+    """Of a member that has no numbers of its own."""
 
 
 def settings_from(kind, values, where="", lenient=False):

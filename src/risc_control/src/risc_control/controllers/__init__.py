@@ -22,7 +22,7 @@ file), such as the tip of a pendulum; `states.covariances` are those of a filter
 what nodes and offline flights run.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ from risc_lab.command_history import CommandHistory
 from risc_lab.lab.vehicle_types import load_vehicle_type, vehicle_type_file
 from risc_lab.lab.yaml_reader import config_files, key_comments
 from risc_lab.registry import Registry
-from risc_lab.settings import settings_from
+from risc_lab.settings import NoParams, settings_from
 from risc_lab.states import S, States
 
 REGISTRY = Registry("controllers", __name__)
@@ -65,11 +65,6 @@ class Reference(NamedTuple):
     present: np.ndarray  # at the stamp of the states
     ahead: np.ndarray  # at the time of sending plus the vehicle's `Controller.delay_s`
     usable: np.ndarray  # (n,) bool, False where there is no fresh one: its numbers, or that of a state, mean nothing
-
-
-@dataclass(frozen=True)
-class NoParams:
-    """Of a controller without any."""
 
 
 class Controller:

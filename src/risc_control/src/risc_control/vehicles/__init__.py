@@ -22,8 +22,10 @@ import numpy as np
 
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab.vehicle_types import own_numbers
 from risc_lab.registry import Registry
 from risc_lab.ros.sender import sender
+from risc_lab.settings import NoParams
 
 
 class Command(NamedTuple):
@@ -104,6 +106,7 @@ class Adapter:
     """
 
     FLIES_ITSELF = True  # takes off, hovers and lands when told to; False: its vehicle node does all that, see `hover`
+    PARAMS = NoParams  # dataclass of numbers that only this type has: `own` of its YAML file
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
     REPORTS = "reports"  # what people call what it says of itself
     LINK = "link"  # and what that comes by
@@ -112,11 +115,10 @@ class Adapter:
     SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
     NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # of T on /controls, + and -
-    FOLLOWS_CLIMB_RATE = False  # its `climb_loop` is told a climb rate: how it follows can be learnt in flight
 
     def __init__(self, vehicle_type, command_rate_hz):
         """vehicle_type: VehicleType.  command_rate_hz: at which the vehicle is sent commands."""
-        self.type = vehicle_type
+        self.type, self.numbers = vehicle_type, own_numbers(vehicle_type, self.PARAMS)
 
     @staticmethod
     def units(vehicle_type):
@@ -204,8 +206,10 @@ REGISTRY = Registry("vehicle_types", __name__)
 
 
 def adapter_class(vehicle_type):
-    """`Adapter` of a VehicleType. Raises ValueError when it has none."""
-    return REGISTRY.module(vehicle_type.name).Adapter
+    """`Adapter` of a VehicleType. Raises ValueError when it has none, or when it cannot read the type's `own`."""
+    adapter = REGISTRY.module(vehicle_type.name).Adapter
+    own_numbers(vehicle_type, adapter.PARAMS)
+    return adapter
 
 
 def told_topics():

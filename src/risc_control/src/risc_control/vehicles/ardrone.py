@@ -25,7 +25,6 @@ class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`."""
 
     HOLDS_POSITION = True  # by its bottom camera and its height sensor
-    FOLLOWS_CLIMB_RATE = True
     REPORTS, LINK, COMMANDS = "navdata", "Wi-Fi", "cmd_vel"
     TOLD = {
         "ardrone/takeoff": Told("Empty", lambda _: "take-off ordered", each=True),

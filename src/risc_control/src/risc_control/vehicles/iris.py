@@ -22,6 +22,8 @@ from risc_control.joystick import Sticks, limited
 from risc_control.vehicles import Command, FlightState, Status, Told
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 from risc_lab.ros.sender import sender
 
 MODE = "STABILIZE"  # in which it takes our commands
@@ -42,6 +44,7 @@ _BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle
 class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
 
+    PARAMS = RadioSticks
     FLIES_ITSELF = False
     REPORTS, LINK, COMMANDS = "telemetry", "telemetry radio", "controls"
     TOLD = {
@@ -90,7 +93,7 @@ class Adapter(vehicles.Adapter):
         return self._sticks(phi, theta, psi, self._hover + weights - 1.0 + self.trim_m_s2 / GRAVITY_M_S2)
 
     def settles_at(self, sticks, own):
-        unit, dead = self._unit, self.type.stick_dead_zone
+        unit, dead = self._unit, self.numbers.stick_dead_zone
         phi, theta, psi = (-without_dead_zone(s, dead) for s in (sticks.left, sticks.forward, sticks.turn_left))
         settles = np.empty(len(Channel))
         settles[Channel.PHI], settles[Channel.THETA] = phi * unit.roll_rad, theta * unit.pitch_rad
@@ -118,7 +121,7 @@ class Adapter(vehicles.Adapter):
         return Link(prefix, name, on_refusal)
 
     def _sticks(self, phi, theta, psi, throttle):
-        dead = self.type.stick_dead_zone
+        dead = self.numbers.stick_dead_zone
         left, forward, turn_left = (-with_dead_zone(limited(fraction), dead) for fraction in (phi, theta, psi))
         return Sticks(forward, left, limited(throttle), turn_left)
 
@@ -126,10 +129,7 @@ class Adapter(vehicles.Adapter):
 def hover_throttle(vehicle_type, battery_pct):
     """Throttle that hovers at a charge, eq. 5.5 with the c4 of the original release; None: of an average battery."""
     pct = NOMINAL_BATTERY_PCT if battery_pct is None else min(max(battery_pct, 0.0), 100.0)
-    throttle = 0.0
-    for coefficient in reversed(vehicle_type.hover_throttle):
-        throttle = throttle * pct + coefficient
-    return throttle
+    return own_numbers(vehicle_type, RadioSticks).hovers_at(pct)
 
 
 def with_dead_zone(fraction, dead):

@@ -179,7 +179,7 @@ def model_of(params, template, vehicle_type):
     model["yaw_noise"] = params.yaw_rate_command / vehicle_type.yaw_rate_time_constant_s
     model["yaw_1_s"] = 1.0 / vehicle_type.yaw_rate_time_constant_s
     model["drag_1_s"] = vehicle_type.drag_n_s_m / vehicle_type.mass_kg
-    if vehicle_type.hover_throttle:
+    if vehicle_type.takes_thrust:
         model["climb_gain"], model["climb_1_s"] = GRAVITY_M_S2, model["drag_1_s"]
     else:
         model["climb_gain"] = model["climb_1_s"] = 1.0 / vehicle_type.climb_time_constant_s

@@ -1,7 +1,9 @@
 """A type that differs from the AR.Drone in all that an adapter may: radians on /controls, and a stick for thrust.
 
-`up` is the thrust as a fraction of twice the weight, less a half: it holds no height by itself.
+`up` is the thrust, from none at -1 to `lift` weights at 1: it holds no height by itself.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,18 +11,33 @@ from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
 from risc_control.vehicles import Status
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab.vehicle_types import own_numbers
 from risc_lab.ros.sender import sender
+from risc_lab.settings import Settings, between
 
 CLIMB_GAIN_1_S = 3.0  # of the climb rate, when nobody commands a thrust
+
+
+@dataclass(frozen=True)
+class Params(Settings):
+    """Of `own` in its YAML file; both sides read them."""
+
+    lift: between(1.5, 10.0)  # [weights] of the full stick
+
+    def weights(self, up):
+        """What a stick lifts."""
+        return 0.5 * self.lift * (1.0 + up)
 
 
 class Adapter(vehicles.Adapter):
     """See the module."""
 
+    PARAMS = Params
+
     @staticmethod
     def climb_loop(vehicle_type):
-        """It takes an acceleration, up to its weight more or less."""
-        return 1.0, 0.0, GRAVITY_M_S2
+        """It takes an acceleration: 1 is that of gravity."""
+        return GRAVITY_M_S2, 0.0, min(1.0, own_numbers(vehicle_type, Params).lift - 1.0)
 
     def answer(self, controls, own, own_s, now_s, sent):
         """Radians and newtons -> fractions."""
@@ -40,11 +57,11 @@ class Adapter(vehicles.Adapter):
         """Its climb loop takes an acceleration."""
         roll_rad, pitch_rad = (-tilt * self.type.tilt_max_rad for tilt in (sticks.left, sticks.forward))
         yaw_rate_rad_s = -sticks.turn_left * self.type.yaw_rate_max_rad_s
-        return np.array((roll_rad, pitch_rad, sticks.up * GRAVITY_M_S2, yaw_rate_rad_s))
+        return np.array((roll_rad, pitch_rad, self.numbers.weights(sticks.up) - 1.0, yaw_rate_rad_s))
 
     def _sticks(self, forward_rad, left_rad, thrust_n, left_rad_s):
         tilt_rad, weight_n = self.type.tilt_max_rad, self.type.mass_kg * GRAVITY_M_S2
-        sticks = forward_rad / tilt_rad, left_rad / tilt_rad, thrust_n / weight_n - 1.0
+        sticks = forward_rad / tilt_rad, left_rad / tilt_rad, 2.0 * thrust_n / (self.numbers.lift * weight_n) - 1.0
         return Sticks(*map(limited, sticks), limited(left_rad_s / self.type.yaw_rate_max_rad_s))
 
     @staticmethod

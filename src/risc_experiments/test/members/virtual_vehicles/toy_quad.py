@@ -5,8 +5,10 @@ Its wire: UDP 4050 takes a text, an order or four sticks; whatever comes on UDP 
 
 import socket
 
+from risc_control.vehicles import REGISTRY
 from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab.vehicle_types import own_numbers
 from risc_simulator.models import flight
 from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.models.quadrotor import U, level_motion
@@ -24,6 +26,10 @@ def before_step(x, inputs, vehicle):
 class Firmware(flight.Firmware):
     """Obeys."""
 
+    def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
+        super().__init__(vehicle_type, rng, perturbed, rest_height_m)
+        self._numbers = own_numbers(vehicle_type, REGISTRY.module("toy_quad").Params)
+
     def configure(self, record):
         self._record = record
         record["thrust_m_s2"] = 0.0
@@ -36,7 +42,8 @@ class Firmware(flight.Firmware):
         elif isinstance(action, FlightAction):
             self.phase = FlightPhase.LANDING if action is FlightAction.LAND else self.phase
         elif self.motors_on:
-            self._record["thrust_m_s2"] = GRAVITY_M_S2 * action.climb_m_s  # the stick, as a full scale of 1 leaves it
+            up = action.climb_m_s  # the stick, as a full scale of 1 leaves it
+            self._record["thrust_m_s2"] = GRAVITY_M_S2 * (self._numbers.weights(up) - 1.0)
             self.command = (action.roll_rad, action.pitch_rad, action.yaw_rate_rad_s, 0.0)
 
 

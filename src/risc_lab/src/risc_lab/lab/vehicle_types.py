@@ -7,6 +7,7 @@ vehicle has otherwise than its type (`OVERRIDABLE`).
 import functools
 import math
 import pathlib
+import typing
 from dataclasses import dataclass, field
 
 from risc_lab.lab.yaml_reader import config_files, load_yaml
@@ -78,9 +79,8 @@ class VehicleType(Settings):
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
     devices: dict[str, Name] = field(default_factory=dict, hash=False)
-    # [-] per percent^i: c0 to c4 of eq. 5.5, the throttle in [-1, 1] that hovers at a charge; () = no throttle stick
-    hover_throttle: tuple[float, ...] = ()
-    stick_dead_zone: between(0.0, 0.5) = 0.0  # of a stick's half travel around its centre, roll, pitch and yaw
+    takes_thrust: bool = False  # its vertical command is a thrust, for us to hold it by; else a climb rate
+    own: dict[str, typing.Any] = field(default_factory=dict, hash=False)  # that no other type has, see `own_numbers`
     airframe: Airframe | None = None  # what it is drawn as; None: as an AR.Drone
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
     # {controller: {key: value}} of its YAML file that the type has otherwise
@@ -105,6 +105,12 @@ def load_vehicle_type(name, overrides=()):
     """
     path = vehicle_type_file(name)
     return settings_from(VehicleType, {**load_yaml(path), **dict(overrides)}, str(path))
+
+
+@functools.cache
+def own_numbers(vehicle_type, kind):
+    """`own` of a VehicleType as an instance of a dataclass of settings. Raises ValueError that names file and key."""
+    return settings_from(kind, vehicle_type.own, "%s: own" % vehicle_type_file(vehicle_type.name))
 
 
 def vehicle_type_file(name):

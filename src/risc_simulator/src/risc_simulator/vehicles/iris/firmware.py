@@ -16,6 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase
 from risc_simulator.vehicles.iris.parameters import Parameters
@@ -111,7 +113,7 @@ class IrisFirmware(Firmware):
         errors = sensor_errors()
         delay = float(np.clip(rng.standard_normal(), -2.0, 2.0)) if perturbed else 0.0
         self.telemetry_delay_s = max(0.0, vehicle_type.report_delay_s + errors.delay_spread_s * delay)
-        self._hover = vehicle_type.hover_throttle
+        self._sticks = own_numbers(vehicle_type, RadioSticks)
         self._battery = Battery(vehicle_type.battery_life_s)
         self._switch_on(0.0)
 
@@ -176,7 +178,7 @@ class IrisFirmware(Firmware):
 
     def hover_throttle(self, battery_pct):
         """Throttle in [-1, 1] at which this vehicle, as it really is, hovers with this charge."""
-        return self._nominal_hover(battery_pct) + self._balance_n / self._nominal_n - 1.0
+        return self._sticks.hovers_at(battery_pct) + self._balance_n / self._nominal_n - 1.0
 
     @property
     def drain_pct_s(self):
@@ -455,7 +457,7 @@ class IrisFirmware(Firmware):
         throttle = min(1.0, max(-1.0, (channels[THROTTLE] - self._middle_us) / self._half_us))
         if self.mode is Mode.STABILIZE:
             idles = channels[THROTTLE] <= self._idle_us
-            hover = self._nominal_hover(self._felt_charge_pct())
+            hover = self._sticks.hovers_at(self._felt_charge_pct())
             up = 0.0 if idles else self._nominal_n * (1.0 + throttle - hover)
         elif self.mode is Mode.LAND:
             up = -self._landing_m_s
@@ -489,17 +491,10 @@ class IrisFirmware(Firmware):
         least = 0.0 if self._climbs else self._balance_n
         return self.command[3] > least
 
-    def _nominal_hover(self, battery_pct):
-        """Eq. 5.5."""
-        result = 0.0
-        for coefficient in reversed(self._hover):
-            result = result * battery_pct + coefficient
-        return result
-
 
 def _parameters_of(kind):
     """Of a VehicleType. Raises ValueError when its autopilot cannot be set so."""
-    dead_us = round(HALF_RANGE_US * kind.stick_dead_zone)
+    dead_us = round(HALF_RANGE_US * own_numbers(kind, RadioSticks).stick_dead_zone)
     try:
         return Parameters(
             ANGLE_MAX=round(100.0 * math.degrees(kind.tilt_max_rad)),

@@ -1,0 +1,24 @@
+"""Vehicles that are flown by the sticks of a radio: what their types have of their own, for both sides."""
+
+import typing
+from dataclasses import dataclass
+
+from msgspec import Meta
+
+from risc_lab.settings import Settings, between
+
+
+@dataclass(frozen=True)
+class RadioSticks(Settings):
+    """`own` in the YAML file of such a type."""
+
+    # [-] per percent^i: c0 to c4 of eq. 5.5, the throttle in [-1, 1] that hovers at a charge
+    hover_throttle: typing.Annotated[tuple[float, ...], Meta(min_length=1)]
+    stick_dead_zone: between(0.0, 0.5) = 0.0  # of a stick's half travel around its centre, roll, pitch and yaw
+
+    def hovers_at(self, battery_pct):
+        """Throttle in [-1, 1] that hovers the nominal vehicle with this charge, eq. 5.5."""
+        throttle = 0.0
+        for coefficient in reversed(self.hover_throttle):
+            throttle = throttle * battery_pct + coefficient
+        return throttle
