@@ -32,7 +32,7 @@ def test_a_filter_of_one_file_and_one_yaml_flies(monkeypatch, tmp_path):
 
 
 def test_the_thesis_controller_flies_with_the_thesis_estimator_unless_another_is_named():
-    assert (estimator_of(THESIS), estimator_of("any other"), estimator_of(THESIS, "least_squares")) == (
+    assert (estimator_of(THESIS), estimator_of("differential_flatness"), estimator_of(THESIS, "least_squares")) == (
         "thesis",
         "least_squares",
         "least_squares",

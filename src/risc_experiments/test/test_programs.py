@@ -1,6 +1,7 @@
 """Programs of a flight are found by what they do, and killed, stopped and continued."""
 
 import os
+import pathlib
 import subprocess
 import sys
 
@@ -75,6 +76,14 @@ def test_of_several_a_vehicle_has_its_own_or_shares_one(node):
     assert find(IDENTITY, "driver", "risc1").process.pid == shared.pid
     assert find(IDENTITY, "driver", "iris2").process.pid == second.pid
     assert find(IDENTITY, "driver").process.pid == shared.pid
+
+
+def test_a_type_from_elsewhere_has_its_driver_among_them(node, monkeypatch):
+    toy = node("toy_commands", "/risc1")
+    with pytest.raises(LookupError, match="no program 'driver'"):
+        find(IDENTITY, "driver", "risc1")
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(pathlib.Path(__file__).parent / "members"))
+    assert find(IDENTITY, "driver", "risc1").process.pid == toy.pid
 
 
 def test_a_killed_one_is_back_when_its_own_node_is_started_again(node):

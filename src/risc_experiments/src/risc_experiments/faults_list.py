@@ -5,7 +5,7 @@ import math
 import sys
 import textwrap
 
-from risc_experiments.programs import ROLES
+from risc_experiments.programs import roles
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 
 _HEAD = """Faults, as --fault takes them: NAME[:ARG,...][@SECONDS]
@@ -16,7 +16,7 @@ commas.
     --fault jump:severe,risc2       by 1 m, of one vehicle; docs/faults.md tells the rest
     --fault node_stop:controller,3  a program of the flight hangs for 3 s. Programs: nodes by their names, and
 %s
-""" % textwrap.fill(", ".join(ROLES), 110, initial_indent=" " * 36, subsequent_indent=" " * 36)
+"""
 
 
 def fault_option(text):
@@ -60,7 +60,7 @@ def main(argv=None):
     except ValueError as error:
         parser.error(str(error))
     if not args.names:
-        print(_HEAD)
+        print(_HEAD % textwrap.fill(", ".join(roles()), 110, initial_indent=" " * 36, subsequent_indent=" " * 36))
     print("\n\n".join(told))
     return 0
 

@@ -7,6 +7,7 @@ import numpy as np
 from cortex_ros.wire import FrameEncoder
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop
+from risc_control.vehicles import REGISTRY as VEHICLE_TYPES
 from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_experiments.offline import Flight, fly
 from risc_lab.lab import load_vehicle_type
@@ -18,12 +19,13 @@ def main():
     from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
     from risc_estimation.ros.conversions import EstimateMessages
 
-    fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
-    fly(Flight(vehicles=1, gusts=True, duration_s=0.5, types=("iris",)))
+    kinds = VEHICLE_TYPES.names()
+    for kind in kinds:
+        fly(Flight(vehicles=2, gusts=True, duration_s=0.5, types=(kind, kind)))
     for name in ESTIMATORS.names():
         fly(Flight(vehicles=1, duration_s=0.1, estimator=name))
     for name in CONTROLLERS.names():
-        ControlLoop(name, [load_vehicle_type("ardrone")])
+        ControlLoop(name, [load_vehicle_type(kinds[0])])
     FrameEncoder((("body", 1),))  # the virtual lab's
     clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
     coverage([np.zeros((3, 2))], (0, 0, 1, 1))

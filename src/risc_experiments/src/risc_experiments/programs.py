@@ -11,28 +11,31 @@ from dataclasses import dataclass
 
 import psutil
 
+from risc_control.vehicles import driver_nodes
 from risc_lab.ros.launching import argument_of, marked_processes, program_of
 
-# what it does -> the nodes that may do it, by their names without a namespace; the first that runs counts
-ROLES = {
+_ROLES = {  # beside those of the drivers
     "mocap_client": ("stream_markers",),
     "states_estimation": ("states_estimation",),
     "controller": ("controller",),
     "trajectory": ("trajectory_node", "trajectory"),
     "vehicle_node": ("joystick_controller",),
-    "driver": ("ardrone_driver", "roscopter"),
-    "transmitter": ("arduino",),  # the board between an IRIS+'s vehicle node and its radio
     "joystick": ("joy_node", "operator"),
     "recorder": ("bagger",),
     "master": ("rosmaster",),
 }
 
 
+def roles():
+    """{what it does: the nodes that may do it, by their names without a namespace; the first that runs counts}."""
+    return {**_ROLES, **driver_nodes()}
+
+
 @dataclass
 class Program:
     """One process of a flight. What is done to one that has ended is done to nobody."""
 
-    role: str  # one of ROLES, or the node's name
+    role: str  # one of roles(), or the node's name
     node: str  # with its namespace, e.g. /risc1/apm/roscopter; of the master /rosmaster
     process: psutil.Process
     killed: bool = False
@@ -62,16 +65,16 @@ class Program:
 
 def programs(identity):
     """[Program] of the flight with an identity (`launching.Launch`), by their nodes' names."""
-    roles = {node: role for role, nodes in ROLES.items() for node in nodes}
+    role_of = {node: role for role, nodes in roles().items() for node in nodes}
     found = []
     for pid in marked_processes(identity):
         with contextlib.suppress(psutil.Error):  # it has ended meanwhile
             process = psutil.Process(pid)
             words, space = process.cmdline(), process.environ().get("ROS_NAMESPACE", "").strip("/")
-            name = argument_of(words, "__name") or (program_of(words) if program_of(words) in roles else "")
+            name = argument_of(words, "__name") or (program_of(words) if program_of(words) in role_of else "")
             if name:
                 node = "/".join(["", *filter(None, (space, name))])
-                found.append(Program(roles.get(name, name), node, process))
+                found.append(Program(role_of.get(name, name), node, process))
     return sorted(found, key=lambda program: program.node)
 
 
@@ -84,19 +87,20 @@ def successor(identity, program):
 def find(identity, name, vehicle=""):
     """The Program that does this in a flight. Raises LookupError that lists those that there are.
 
-    name: one of ROLES, or a node's name.  vehicle: namespace; of several that do the same that vehicle's, or the one
+    name: one of roles(), or a node's name.  vehicle: namespace; of several that do the same that vehicle's, or the one
     that is for all.
     """
     running = programs(identity)
     fitting = [program for program in running if name in (program.role, program.node, program.node.rpartition("/")[2])]
-    if name in ROLES:
-        order = {node: k for k, node in enumerate(ROLES[name])}
+    known = roles()
+    if name in known:
+        order = {node: k for k, node in enumerate(known[name])}
         fitting.sort(key=lambda program: order[program.node.rpartition("/")[2]])
     its = [program for program in fitting if vehicle and program.node.startswith("/%s/" % vehicle)]
     shared = [program for program in fitting if program.node.count("/") == 1]
     for program in its or shared or ([] if vehicle else fitting):
         return program
-    roles = {program.role for program in running}
-    there = [role for role in ROLES if role in roles] + sorted(roles - set(ROLES))
+    played = {program.role for program in running}
+    there = [role for role in known if role in played] + sorted(played - set(known))
     text = "no program '%s' is part of this flight; there are %s"
     raise LookupError(text % (name, ", ".join(there) or "none"))

@@ -73,6 +73,7 @@ class Controller:
     PARAMS = NoParams  # dataclass of numbers: the keys of its YAML file; dynamic_reconfigure changes them in flight
     ORDER = Order.ACCELERATION  # highest derivative of the reference that it reads, at most MOST_ORDER
     COVARIANCES = False  # whether it reads `Bundle.covariances`
+    ESTIMATOR = ""  # velocity filter that its flights have unless another is named; "" = that of all
 
     def __init__(self, vehicle_types, params):
         """vehicle_types: VehicleType of each vehicle, in the order of all arrays."""

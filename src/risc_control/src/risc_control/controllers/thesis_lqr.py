@@ -47,6 +47,8 @@ class Controller(controllers.Controller):
     """See the module. Delays do not matter to it, nor who flies; nothing is remembered."""
 
     PARAMS = Params
+    # Who measures the thesis measures all of it: with a filter without delay it errs half as much.
+    ESTIMATOR = "thesis"
 
     def __init__(self, vehicle_types, params):
         super().__init__(vehicle_types, params)

@@ -112,6 +112,7 @@ class Adapter:
     LINK = "link"  # and what that comes by
     COMMANDS = "commands"  # topic below its namespace on which it is sent its commands
     TOLD = {}  # {topic below its namespace: Told}
+    NODES = {}  # {what it does: node of its driver}, for faults: `driver`, what a flight needs most; others are its own
     SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
     NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # of T on /controls, + and -
@@ -216,6 +217,15 @@ def told_topics():
     """{topic below a vehicle's namespace: Told} of all types."""
     adapters = (REGISTRY.module(name).Adapter for name in REGISTRY.names())
     return {topic: told for adapter in adapters for topic, told in adapter.TOLD.items()}
+
+
+def driver_nodes():
+    """{what it does: its nodes} of all types: `Adapter.NODES`."""
+    nodes = {}
+    for name in REGISTRY.names():
+        for role, node in REGISTRY.module(name).Adapter.NODES.items():
+            nodes.setdefault(role, []).append(node)
+    return nodes
 
 
 def climb_loops(vehicle_types):

@@ -26,6 +26,7 @@ class Adapter(vehicles.Adapter):
 
     HOLDS_POSITION = True  # by its bottom camera and its height sensor
     REPORTS, LINK, COMMANDS = "navdata", "Wi-Fi", "cmd_vel"
+    NODES = {"driver": "ardrone_driver"}
     TOLD = {
         "ardrone/takeoff": Told("Empty", lambda _: "take-off ordered", each=True),
         "ardrone/land": Told("Empty", lambda _: "landing ordered", each=True),

@@ -47,6 +47,7 @@ class Adapter(vehicles.Adapter):
     PARAMS = RadioSticks
     FLIES_ITSELF = False
     REPORTS, LINK, COMMANDS = "telemetry", "telemetry radio", "controls"
+    NODES = {"driver": "roscopter", "transmitter": "arduino"}  # the latter: between its vehicle node and its radio
     TOLD = {
         "apm/state": Told("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
         "ppm_status": Told("PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")),

@@ -33,6 +33,7 @@ class Adapter(vehicles.Adapter):
     """See the module."""
 
     PARAMS = Params
+    NODES = {"driver": "toy_commands"}
 
     @staticmethod
     def climb_loop(vehicle_type):
