@@ -42,7 +42,6 @@ from data_extraction.report.computers import ComputerCollector
 from risc_control.safety import SafetyLimits
 from risc_control.vehicles import greatest_command
 from risc_lab.lab import load_fleet, load_vehicle_type
-from risc_lab.lab.fleet import LEGACY_VEHICLES
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 
 LIMITS = SafetyLimits()
@@ -109,7 +108,7 @@ def told_to(hosts, vehicle):
 
     NaN: they answer none, its node brakes it. No two have equal sticks.
     """
-    template = LEGACY_VEHICLES["ardrone"][vehicle]
+    template = ARDRONE.laboratory[vehicle]
     most = greatest_command(ARDRONE)
     full = np.array((most.roll_rad, most.pitch_rad, ARDRONE.climb_max_m_s, most.yaw_rate_rad_s))
     told, stamps_s, sent_s = [], [], []

@@ -3,7 +3,6 @@
 from data_extraction.report.topics import fits
 from risc_control.vehicles import REGISTRY
 from risc_lab.lab import load_vehicle_type
-from risc_lab.lab.fleet import LEGACY_VEHICLES
 
 _WITH_NAMES = ("/node_status", "/vehicle_status")  # topics whose messages name the vehicle of their namespace
 
@@ -12,7 +11,7 @@ def vehicle_types(bag, fleet=None):
     """{template: VehicleType} of the vehicles whose type is known. bag: an open Bag; fleet: Fleet or None."""
     if fleet:
         return {vehicle.template: vehicle.vehicle_type for vehicle in fleet.vehicles}
-    found = {template: name for name, vehicles in LEGACY_VEHICLES.items() for template in vehicles.values()}
+    found = {template: name for name in REGISTRY.names() for template in load_vehicle_type(name).laboratory.values()}
     by_namespace = _types_by_namespace(bag.topics)
     found.update((template, by_namespace[namespace]) for namespace, template in _templates(bag, by_namespace))
     return {template: load_vehicle_type(name) for template, name in found.items()}

@@ -17,12 +17,6 @@ from risc_lab.lab.vehicle_types import OVERRIDABLE, load_vehicle_type
 from risc_lab.lab.yaml_reader import load_yaml
 from risc_lab.settings import Name, NotNegative, Port, Settings, Vector, between, check_different, settings_from
 
-# {type: {namespace: template}} of the lab, when no fleet is loaded
-LEGACY_VEHICLES = {
-    "ardrone": {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"},
-    "iris": {"iris1": "IRIS"},
-}
-
 
 @dataclass(frozen=True)
 class MocapEndpoint(Settings):
@@ -138,7 +132,7 @@ def unplaced_vehicle(namespace, template, kind="ardrone"):
 
 def laboratory_vehicles(kind="ardrone"):
     """Those of a type in the original laboratory, for when no fleet is loaded."""
-    return tuple(unplaced_vehicle(*names, kind) for names in LEGACY_VEHICLES[kind].items())
+    return tuple(unplaced_vehicle(*names, kind) for names in load_vehicle_type(kind).laboratory.items())
 
 
 def wider_m(vehicles):

@@ -85,6 +85,8 @@ class VehicleType(Settings):
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
     # {controller: {key: value}} of its YAML file that the type has otherwise
     controllers: dict[str, dict[str, float]] = field(default_factory=dict, hash=False)
+    # {namespace: template} of those in the original laboratory, which are known without a fleet file
+    laboratory: dict[str, Name] = field(default_factory=dict, hash=False)
 
     @property
     def wider_m(self):
