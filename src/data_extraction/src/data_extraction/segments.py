@@ -16,7 +16,7 @@ from data_extraction.recording import COMMANDS, ON_COURSE, REFERENCES, STATES, R
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.command_history import Channel, CommandHistory, command_of
-from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE, load_vehicle_type
 from risc_lab.phases import OperatorPhase
 from risc_lab.settings import Positive, Settings
 
@@ -133,7 +133,7 @@ def full_scales_deg(params, fleet_vehicles=()):
         vehicle.template: scale(params.vehicle_type or vehicle.type, True, vehicle.overrides)
         for vehicle in fleet_vehicles
     }
-    return of_fleet, scale(params.vehicle_type or "ardrone", False)
+    return of_fleet, scale(params.vehicle_type or DEFAULT_TYPE, False)
 
 
 class Recorder:

@@ -17,6 +17,7 @@ import numpy as np
 
 from data_extraction.progress import Progress, bar
 from risc_control.trajectories import COURSES, make_course
+from risc_control.vehicles import REGISTRY
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, Loss, fly_all
 
 WITHIN_S = 2.0
@@ -64,7 +65,7 @@ def main(argv=None):
         description="How far a vehicle goes within %g s after it was seen last and began to hold, offline." % WITHIN_S,
     )
     add = parser.add_argument
-    add("--types", nargs="+", default=["ardrone", "iris"], metavar="TYPE", help="of vehicles (default: ardrone iris)")
+    add("--types", nargs="+", default=REGISTRY.names(), metavar="TYPE", help="of vehicles (default: all)")
     add("--trajectory", nargs="+", choices=sorted(COURSES), default=MOVING)
     add("--seeds", type=int, default=20, metavar="N", help="seeds 1 to N (default: 20)")
     add("--gusts", action="store_true", help="moving air")

@@ -26,7 +26,7 @@ from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.offline import Flight, RunningFlight
 from risc_experiments.offline_chain import FRAME_S
 from risc_experiments.option_types import add_set_option, numbers_of
-from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE, load_vehicle_type
 
 AXES = ("roll", "pitch", "climb")
 _STILL = {"trajectory": "circle", "course": {"radius_m": 1e-5}, "psi_deg": 0.0, "perturbed": False, "noise": False}
@@ -167,7 +167,7 @@ def main(argv=None):
         description="Margins of the whole sampled loop of a hovering vehicle, broken at the command, offline.",
     )
     add = parser.add_argument
-    add("--type", default="ardrone", metavar="TYPE", help="of the vehicle (default: ardrone)")
+    add("--type", default=DEFAULT_TYPE, metavar="TYPE", help="of the vehicle (default: %(default)s)")
     add("--delay", type=float, metavar="S", dest="delay_s", help="of the link (default: that of the type)")
     add("--bandwidth", type=float, default=1.0, metavar="X",
         help="of the aircraft's attitude loops, over what the controller believes (default: 1)")  # fmt: skip

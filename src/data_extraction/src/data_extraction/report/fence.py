@@ -9,7 +9,7 @@ from data_extraction.report.topics import PerName
 from data_extraction.samples import Samples
 from risc_control.fence import Fence
 from risc_control.safety import SafetyLimits
-from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE, load_vehicle_type
 
 _BLOCK_S = 0.1  # the least margin of so long is one point of the drawing
 _ROWS = 50_000  # more are thinned out; the least margin of all is kept beside them
@@ -61,7 +61,7 @@ class FenceCollector(PerName):
         limits = limits or SafetyLimits()
         others = {template: Fence(limits, vehicle_type) for template, vehicle_type in (types or {}).items()}
         self._fences = {**others, **(fences or {})}
-        self._unknown = Fence(limits, load_vehicle_type("ardrone"))  # only its net is of use
+        self._unknown = Fence(limits, load_vehicle_type(DEFAULT_TYPE))  # only its net is of use
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)

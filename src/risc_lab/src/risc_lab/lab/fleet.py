@@ -13,7 +13,7 @@ import msgspec
 
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.templates import TemplateSet
-from risc_lab.lab.vehicle_types import OVERRIDABLE, load_vehicle_type
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE, OVERRIDABLE, load_vehicle_type
 from risc_lab.lab.yaml_reader import load_yaml
 from risc_lab.settings import Name, NotNegative, Port, Settings, Vector, between, check_different, settings_from
 
@@ -125,13 +125,14 @@ class FleetVehicle(Settings):
         return replace(self, overrides={**self.overrides, **given})
 
 
-def unplaced_vehicle(namespace, template, kind="ardrone"):
+def unplaced_vehicle(namespace, template, kind=DEFAULT_TYPE):
     """FleetVehicle of which no fleet file says where it is."""
     return FleetVehicle(namespace, template, kind, "0.0.0.0", Start((0.0, 0.0, 0.0)))
 
 
-def laboratory_vehicles(kind="ardrone"):
-    """Those of a type in the original laboratory, for when no fleet is loaded."""
+def laboratory_vehicles(kind=""):
+    """Those of a type, "" = DEFAULT_TYPE, in the original laboratory, for when no fleet is loaded."""
+    kind = kind or DEFAULT_TYPE
     return tuple(unplaced_vehicle(*names, kind) for names in load_vehicle_type(kind).laboratory.items())
 
 

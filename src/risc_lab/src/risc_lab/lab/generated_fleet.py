@@ -8,6 +8,7 @@ from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import VEHICLE, Kind, TemplateSet
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE
 
 MOST_VEHICLES = 250  # addresses end in a byte
 SPACING_M = 1.0  # between two starts: aircraft are 0.55 m wide
@@ -53,7 +54,7 @@ def generated_fleet(vehicles, room_m=ROOM_M):
             FleetVehicle(
                 namespace="risc%d" % k,
                 template=name,
-                type="ardrone",
+                type=DEFAULT_TYPE,
                 address="127.77.1.%d" % k,
                 calibration="risc%d.yaml" % k if k <= _WITH_CAMERA else "",
                 start=Start((float(x), float(y), 0.0)),

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from risc_lab.lab.yaml_reader import config_files, load_yaml
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 
+DEFAULT_TYPE = "ardrone"  # that of the original: where nobody names one, and for which distances are set
 # What a single vehicle may have otherwise than its type.
 OVERRIDABLE = (
     "mass_kg",
@@ -91,12 +92,12 @@ class VehicleType(Settings):
     @property
     def wider_m(self):
         """How much farther it reaches than an AR.Drone, for which distances are set; 0 for one that reaches less."""
-        return max(0.0, self.radius_m - _ardrone_radius_m())
+        return max(0.0, self.radius_m - _default_radius_m())
 
 
 @functools.cache
-def _ardrone_radius_m():
-    return load_vehicle_type("ardrone").radius_m
+def _default_radius_m():
+    return load_vehicle_type(DEFAULT_TYPE).radius_m
 
 
 def load_vehicle_type(name, overrides=()):

@@ -96,7 +96,7 @@ def vehicles(only_one=False, kind=""):
     Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.  kind: of that type
     or with its driver, the others are not meant; "" = of any.  Raises ValueError when there is none.
     """
-    known = fleet_vehicles() or laboratory_vehicles(kind or "ardrone")
+    known = fleet_vehicles() or laboratory_vehicles(kind)
     if kind:
         known = tuple(vehicle for vehicle in known if kind in (vehicle.type, vehicle.vehicle_type.driver))
         if not known:

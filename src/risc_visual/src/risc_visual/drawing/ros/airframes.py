@@ -5,9 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from visualization_msgs.msg import Marker
 
-from risc_lab.lab import load_vehicle_type
-
-_DEFAULT_TYPE = "ardrone"
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE, load_vehicle_type
 
 
 class Part(NamedTuple):
@@ -21,13 +19,13 @@ class Part(NamedTuple):
     points_m: tuple[tuple[float, float, float], ...] = ()  # lines: ends in turn; arrow: tail and tip
 
 
-def parts_of(type_name=_DEFAULT_TYPE):
+def parts_of(type_name=DEFAULT_TYPE):
     """Parts of a vehicle of this type; those of an AR.Drone when it is not known, or says no size."""
     try:
         size = load_vehicle_type(type_name).airframe
     except ValueError:
         size = None
-    return _quadrotor(size or load_vehicle_type(_DEFAULT_TYPE).airframe)
+    return _quadrotor(size or load_vehicle_type(DEFAULT_TYPE).airframe)
 
 
 def _quadrotor(size):
