@@ -6,6 +6,7 @@ import shlex
 
 import pytest
 
+from risc_control import vehicles
 from risc_experiments import fly, offline
 from risc_lab.lab import load_fleet
 
@@ -13,6 +14,10 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "add_a_vehicle.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"`(my_lab/[\w/.]+)`:\n\n```\w+\n(.*?)```", PAGE, re.DOTALL))
 LIMIT_M = 0.05
+ITS_OWN = (
+    "src/risc_control/src/risc_control/vehicles",
+    "src/risc_simulator/src/risc_simulator/vehicles",
+)  # files of types
 
 
 @pytest.fixture
@@ -37,3 +42,12 @@ def test_the_fleet_of_the_page_flies(reader, monkeypatch):
     result = offline.fly(offline.Flight(args.trajectory, args.vehicles, duration_s=5.0))
     assert result.names == ("Kestrel", "Merlin")
     assert all(0.0 < rmse_m < LIMIT_M for rmse_m in result.rmse_m)
+
+
+def test_names_of_types_stand_only_where_the_page_says():
+    said = set(re.findall(r"`(\w+\.py)[ `]", PAGE.partition("### What stands elsewhere")[2]))
+    name = re.compile(r"[\"'](%s)[\"']" % "|".join(vehicles.REGISTRY.names()))
+    paths = [path for folder in ("src/*/src/*", "src/*/nodes") for path in ROOT.glob(folder + "/**/*.py")]
+    elsewhere = [path for path in paths if not str(path.relative_to(ROOT)).startswith(ITS_OWN)]
+    assert len(elsewhere) > 300
+    assert {path.name for path in elsewhere if name.search(path.read_text(encoding="utf-8"))} == said

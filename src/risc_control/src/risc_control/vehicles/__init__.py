@@ -9,8 +9,9 @@ and to land, status, and what it can hold by itself. On the way
 a command is converted twice: into the unit of /controls (a fraction of the full scale for an AR.Drone, nothing for a
 type that says nothing else), and there into what the vehicle takes.
 
-A type is one file here with a class `Adapter`, and risc_lab/config/vehicle_types/NAME.yaml with its numbers. From
-elsewhere: vehicle_types/NAME.py and vehicle_types/NAME.yaml, see `risc_lab.registry`.
+A type is one file here with a class `Adapter`, and risc_lab/config/vehicle_types/NAME.yaml with its numbers; those that
+no other type has are its `own`, see `Adapter.PARAMS`. From elsewhere: vehicle_types/NAME.py and .yaml, see
+`risc_lab.registry`.
 """
 
 import math
@@ -112,7 +113,7 @@ class Adapter:
     LINK = "link"  # and what that comes by
     COMMANDS = "commands"  # topic below its namespace on which it is sent its commands
     TOLD = {}  # {topic below its namespace: Told}
-    NODES = {}  # {what it does: node of its driver}, for faults: `driver`, what a flight needs most; others are its own
+    NODES = {}  # {what it does: node of its driver}, which faults find by that: `driver` takes the commands
     SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
     NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # of T on /controls, + and -

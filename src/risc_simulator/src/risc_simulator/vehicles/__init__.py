@@ -18,8 +18,9 @@ and, if in offline flights its driver is another one than that of models/offline
 and, if a fault is to freeze what it says of itself (navdata_freeze),
     repeated    (told, datagram) -> datagram with the content of the first one of its kind, which told, a dict, keeps;
                 fresh sequence number, check sum that fits. Anything else is returned as it is
-The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
-virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
+The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types), and so are those that no
+other type has (`own_numbers` of risc_lab.lab.vehicle_types). One from elsewhere is virtual_vehicles/NAME.py and
+vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
 
 import functools
