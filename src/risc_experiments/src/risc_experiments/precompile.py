@@ -1,5 +1,6 @@
 """Have numba compile and keep all that runs in every frame of a flight (risc_lab.compiled): part of `./maap build`."""
 
+import os
 import sys
 
 import numpy as np
@@ -11,6 +12,7 @@ from risc_control.vehicles import REGISTRY as VEHICLE_TYPES
 from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_experiments.offline import Flight, fly
 from risc_lab.lab import load_vehicle_type
+from risc_lab.registry import VARIABLE
 from risc_simulator.video.polygons import clip_polygons, coverage
 
 
@@ -19,6 +21,7 @@ def main():
     from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
     from risc_estimation.ros.conversions import EstimateMessages
 
+    os.environ.pop(VARIABLE, None)  # members from elsewhere are compiled when they fly: what they lack fails no build
     kinds = VEHICLE_TYPES.names()
     for kind in kinds:
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5, types=(kind, kind)))
