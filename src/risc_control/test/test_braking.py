@@ -10,6 +10,8 @@ from risc_control.vehicle_pilot import OwnState
 from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 
 STEP_S = 0.001
 
@@ -118,6 +120,24 @@ def test_a_state_that_is_new_counts_at_once():
     braking.see(still, 10.4)
     assert braking.command(10.5).stopped
     assert braking.command(14.0) is None, "nobody has asked for so long"
+
+
+def test_a_command_that_is_late_changes_no_more_for_it():
+    """The board of an IRIS+ does not believe at once in a larger change from one message to the next."""
+    vehicle_type = load_vehicle_type("iris")
+    sent = CommandHistory(1)
+    braking = Braking(vehicle_type, sent.vehicles[0])
+    sent.append(0, 0.0, np.zeros(4))
+    braking.see(Body(vehicle_type, (0.0, 0.6), 0.0).own(), 0.0)
+    period_s = 1.0 / vehicle_type.command_rate_hz
+    changes_rad = []
+    for late_s in (0.0, 0.5, 3.0):
+        brake = braking.command((1.0 + late_s) * period_s)
+        changes_rad.append(abs(brake.roll_rad))
+    most_rad = vehicle_type.tilt_step_max_rad
+    assert changes_rad == pytest.approx([6.0 * period_s, most_rad, most_rad])
+    zone = own_numbers(vehicle_type, RadioSticks).stick_dead_zone
+    assert 0.24 < most_rad / vehicle_type.tilt_max_rad * (1.0 - zone) + 2.0 * zone <= 0.25
 
 
 def test_a_delay_that_nobody_can_predict():

@@ -1,5 +1,6 @@
 """From sticks to an IRIS+ without sockets: as the board, its signal and the radio take them."""
 
+import math
 import pathlib
 import re
 from collections import namedtuple
@@ -11,7 +12,15 @@ from iris_flight import make_world
 from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.models.perturbed_plant import spreads
 from risc_simulator.vehicles.iris.firmware import Mode
-from risc_simulator.vehicles.iris.offline import FAILSAFE_S, FAILSAFE_US, FRAME_S, OfflineLink
+from risc_simulator.vehicles.iris.offline import (
+    FAILSAFE_S,
+    FAILSAFE_US,
+    FRACTION_MAX,
+    FRAME_S,
+    JUMP,
+    SLEW_US,
+    OfflineLink,
+)
 
 CYCLE_S = 0.005
 Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node has them
@@ -19,10 +28,12 @@ Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node 
 
 def test_its_board_is_the_one_that_is_shipped():
     path = pathlib.Path(__file__).resolve().parents[3] / "firmware/dueppm/configuration.h"
-    shipped = dict(re.findall(r"constexpr \w+ (k\w+) = (\w+);", path.read_text(encoding="utf-8")))
+    shipped = dict(re.findall(r"constexpr \w+ (k\w+) = ([\w.]+);", path.read_text(encoding="utf-8")))
     centre_us, lowest_us = int(shipped["kCentreUs"]), int(shipped["kFailsafeThrottleUs"])
     assert shipped["kFailsafeHolds"] == "false" and (centre_us, centre_us, lowest_us, centre_us) == FAILSAFE_US
     assert (int(shipped["kFrameUs"]), int(shipped["kFailsafeMs"])) == (1e6 * FRAME_S, 1e3 * FAILSAFE_S)
+    assert (float(shipped["kFractionMax"]), float(shipped["kJump"])) == (FRACTION_MAX, JUMP)
+    assert int(shipped["kSlewUsPerS"]) * FRAME_S == SLEW_US
 
 
 class Flight:
@@ -56,8 +67,21 @@ def test_sticks_become_channels_with_the_signs_of_the_angles():
     flight = Flight()
     flight.run(0.5, Sticks(forward=0.2, left=0.1234, up=-0.15, turn_left=-0.05))
     assert flight.autopilot.channels_us[:4] == (1438, 1400, 1425, 1525)
-    flight.run(0.2, Sticks(forward=-3.0, left=-3.0, up=3.0, turn_left=3.0))
+    flight.run(0.5, Sticks(forward=-1.0, left=-1.0, up=1.0, turn_left=1.0))
     assert flight.autopilot.channels_us[:4] == (2000, 2000, 2000, 1000)
+    flight.run(0.3, Sticks(forward=0.0, left=0.0, up=0.0, turn_left=math.nan))
+    assert flight.autopilot.channels_us[:4] == (2000, 2000, 2000, 1000), "refused"
+
+
+def test_a_large_change_counts_when_the_next_message_confirms_it_and_takes_its_time():
+    flight = Flight()
+    flight.run(0.5, flight.hover())
+    flight.run(0.02, flight.hover(left=0.4))
+    flight.run(0.2, flight.hover())
+    assert {us[0] for _, us in flight.seen[20:]} == {1500}, "one message alone may be damaged"
+    flight.run(0.3, flight.hover(left=0.4))
+    roll_us = [us[0] for _, us in flight.seen if us[0] > 0]
+    assert roll_us[-1] == 1300 and np.abs(np.diff(roll_us[20:])).max() == SLEW_US
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])

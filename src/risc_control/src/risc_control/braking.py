@@ -79,6 +79,7 @@ class Braking:
             self._plant = plants([vehicle_type])[0]
         except ValueError:  # its delay is so long that nobody can say where it will be
             return
+        self._step_max_rad = vehicle_type.tilt_step_max_rad
         self._delay_s = self._plant.delay_s - 0.5 * self._plant.period_s  # the last half period is that of the hold
         self._gains = np.zeros(2, _GAIN)
         most = greatest_command(vehicle_type)
@@ -93,7 +94,7 @@ class Braking:
             gain.levels_m_rad = GRAVITY_M_S2 / wn**2
         self._commands = np.zeros((2 + round(MAX_HORIZON_S / STEP_S), 4))
         self._ahead(self._motion, 0.0, 0.1)  # loads what is compiled
-        _feedback(self._motion, self._gains, sent, 0.0)
+        _feedback(self._motion, self._gains, sent, 0.0, 0.0)
         _corrected(self._motion, 0.0, 0.0)
         _pushed(self._motion, 0.0, 0.0, 0.0)
 
@@ -150,7 +151,9 @@ class Braking:
         if until_s - self._at_s > _WINDOW_S:
             self._go_on(until_s - 0.5 * _WINDOW_S)
         then = self._later(until_s)
-        roll_rad, pitch_rad, meanwhile_m_s, level_m_s = _feedback(then, self._gains, self._sent, now_s)
+        roll_rad, pitch_rad, meanwhile_m_s, level_m_s = _feedback(
+            then, self._gains, self._sent, now_s, self._step_max_rad
+        )
         own = self._own._replace(
             position_m=(then.north_m, -then.east_m, then.up_m),
             velocity_m_s=(then.north_m_s, -then.east_m_s, then.up_m_s),
@@ -283,7 +286,7 @@ def _changed(motion, north_m, east_m, north_m_s, east_m_s):
 
 
 @compiled
-def _feedback(motion, gains, sent, now_s):
+def _feedback(motion, gains, sent, now_s, step_max_rad):
     """(roll, pitch, speed, speed): the command, how fast it is, and would be if it was told to be level instead."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     forward_m_s = cosine * motion.north_m_s + sine * motion.east_m_s
@@ -297,7 +300,8 @@ def _feedback(motion, gains, sent, now_s):
     pitch_rad = gain.velocity * forward_m_s - gain.tilt * motion.theta_rad - gain.rate * motion.theta_rate_rad_s
     pitch_rad = clipped(pitch_rad, gain.most_rad)
     forward_m_s -= gain.levels_m_s_rad * motion.theta_rad + gain.levels_m_rad * motion.theta_rate_rad_s
-    last, change_rad = sent.newest % ROWS, _TILT_RAD_S * (now_s - sent.times_s[sent.newest % ROWS])
+    last = sent.newest % ROWS
+    change_rad = min(step_max_rad, _TILT_RAD_S * (now_s - sent.times_s[last]))
     was_rad = sent.commands[last, Channel.PHI]
     roll_rad = was_rad + clipped(roll_rad - was_rad, change_rad)
     was_rad = sent.commands[last, Channel.THETA]

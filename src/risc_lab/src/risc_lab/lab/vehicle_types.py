@@ -76,6 +76,8 @@ class VehicleType(Settings):
     # what courses may ask for: that part of the full scales (the rest is the controller's), and this speed
     course_share: between(0.1, 1.0) = 0.8
     speed_max_m_s: Positive = 3.0
+    # the most that a tilt command may change from one to the next, to be obeyed at once
+    tilt_step_max_rad: between(0.001, math.pi) = math.pi
     report_delay_s: between(0.0, 2.0) = 0.0  # from its measurement to the subscribers of its driver
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device

@@ -1,6 +1,6 @@
 """An IRIS+ without sockets, for offline flights: serial line, board and radio as a clock of frames.
 
-The board is as firmware/dueppm is shipped (configuration.h); its limits of plausibility and slew are not here.
+The board is as firmware/dueppm is shipped (configuration.h).
 """
 
 import math
@@ -16,6 +16,9 @@ from risc_simulator.vehicles.iris.transmitter import LINE_S, radio_delay_s, tele
 FRAME_S = 0.020
 FAILSAFE_S = 0.5  # without sticks
 FAILSAFE_US = (1500, 1500, 950, 1500)
+FRACTION_MAX = 1.001  # a message with a larger one is refused
+JUMP = 0.25  # of a fraction: a larger one counts when the next message confirms it (controls_check.h)
+SLEW_US = 100  # by which a channel changes from one frame to the next (sticks.h)
 
 
 class OfflineLink:
@@ -27,16 +30,15 @@ class OfflineLink:
         self.vehicle = vehicle
         self._delay_s = radio_delay_s(vehicle.plant)
         self._frame_s = phase * FRAME_S  # when the next frame begins
-        self._coming = deque()  # (time, channels) on the line to the board
-        self._heard_s, self._channels_us = math.inf, None  # until the first sticks the board sends nothing
+        self._coming = deque()  # (time, fractions) on the line to the board
+        self._accepted = self._doubted = _NONE
+        self._sent_us = FAILSAFE_US  # in the newest frame
         self._rng = np.random.default_rng(int(phase * 2**32))  # the phase is the seed's
         self._sensors = IrisSensors(vehicle, self._rng, noise)
 
     def send(self, sticks, now_s, level_only=False):
         """As serial_node sends them: phi, theta, T, psi, with the signs of the angles."""
-        fractions = -sticks.left, -sticks.forward, sticks.up, -sticks.turn_left
-        channels = tuple(CENTRE_US + round(HALF_RANGE_US * min(1.0, max(-1.0, f))) for f in fractions)
-        self._coming.append((now_s + LINE_S, channels))
+        self._coming.append((now_s + LINE_S, (-sticks.left, -sticks.forward, sticks.up, -sticks.turn_left)))
 
     def order(self, action, now_s):
         """By telemetry: TAKE_OFF arms in STABILIZE, and the rest is the throttle's."""
@@ -46,12 +48,29 @@ class OfflineLink:
         """Send all frames that have begun."""
         while self._frame_s <= now_s:
             while self._coming and self._coming[0][0] <= self._frame_s:
-                self._heard_s, self._channels_us = self._coming.popleft()
-            if self._channels_us is not None:
-                silent = self._frame_s - self._heard_s > FAILSAFE_S
-                frame = RcFrame(FAILSAFE_US if silent else self._channels_us)
-                self.vehicle.schedule(self._frame_s + self._delay_s, frame)
+                self._judge(self._coming.popleft())
+            heard_s, fractions = self._accepted
+            if fractions is not None:  # until the first sticks the board sends nothing
+                silent = self._frame_s - heard_s > FAILSAFE_S
+                goal_us = FAILSAFE_US if silent else _channels_us(fractions)
+                self._sent_us = tuple(us + _within(goal - us, SLEW_US) for us, goal in zip(self._sent_us, goal_us))
+                self.vehicle.schedule(self._frame_s + self._delay_s, RcFrame(self._sent_us))
             self._frame_s += FRAME_S
+
+    def _judge(self, message):
+        """Whether the board believes a message: (time, fractions)."""
+        if not all(abs(fraction) <= FRACTION_MAX for fraction in message[1]):
+            return
+        # a flight that begins in the air has been flown before
+        begins = self._accepted is _NONE and self.vehicle.phase is FlightPhase.FLYING
+        believed = begins or _agree(self._doubted, message) or _agree(self._accepted, message)
+        self._doubted = _NONE
+        if believed:
+            self._accepted = message[0], tuple(_within(fraction, 1.0) for fraction in message[1])
+            if begins:
+                self._sent_us = _channels_us(self._accepted[1])
+        else:
+            self._doubted = message
 
     def lose(self, now_s):
         """The board's failsafe follows by itself."""
@@ -74,3 +93,20 @@ class OfflineLink:
             "climb_m_s": read.climb_m_s,
         }
         return self.phase, round(read.battery_pct), said
+
+
+_NONE = -math.inf, None
+
+
+def _agree(known, message):
+    (known_s, fractions), (now_s, others) = known, message
+    is_recent = now_s - known_s < FAILSAFE_S
+    return is_recent and all(abs(other - fraction) <= JUMP for fraction, other in zip(fractions, others))
+
+
+def _channels_us(fractions):
+    return tuple(CENTRE_US + round(HALF_RANGE_US * fraction) for fraction in fractions)
+
+
+def _within(value, most):
+    return min(max(value, -most), most)
