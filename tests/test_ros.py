@@ -4,9 +4,9 @@ import contextlib
 import os
 import pathlib
 import re
+import shutil
 import signal
 import subprocess
-import sys
 import uuid
 import xml.etree.ElementTree as ET
 
@@ -120,16 +120,15 @@ def test_the_states_that_a_controller_flies_by_are_an_argument(name):
         assert [node.name for node in config.nodes if node.type == "quad_EKF.py"] == (["EKF"] if argv else [])
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        [sys.executable, "-c", "import time; time.sleep(60.0)", "__name:=by_roslaunch"],
-        [str(ROOT / "devel/lib/by_rosrun"), "-c", "import time; time.sleep(60.0)"],
-    ],
-)
+PROGRAM, SOURCE = str(ROOT / "devel/lib/package/node"), str(ROOT / "src/package/nodes/node.py")
+BY_ROSRUN = [(PROGRAM,), ("python3", PROGRAM), ("/usr/bin/python3.11", SOURCE), (SOURCE,)]
+
+
+@pytest.mark.parametrize("words", [("node", "__name:=by_roslaunch"), *BY_ROSRUN], ids=" ".join)
 def test_nothing_is_built_under_nodes_that_run(words):
+    pretender = {"executable": shutil.which("yes"), "stdout": subprocess.PIPE}  # which waits: nobody reads
     environment = dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))
-    with subprocess.Popen(words, executable=sys.executable, env=environment) as process:
+    with subprocess.Popen(words, env=environment, **pretender) as process:
         try:
             command = [str(ROOT / "maap"), "build"]
             done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)

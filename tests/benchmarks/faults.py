@@ -21,7 +21,7 @@ import yaml
 
 from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_experiments.soak import table
-from risc_lab.lab import load_fleet, load_vehicle_type
+from risc_lab.lab import load_fleet
 from risc_simulator.faults import parse_fault
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -85,10 +85,10 @@ def is_limited(text):
     return lasts and (event.fault == "mocap_blackout" or event.program in AS_MOCAP)
 
 
-def limit_ms(fleet):
-    """Within which every vehicle has to be sent the command to hold when states or commands stop."""
-    types = {vehicle.type for vehicle in load_fleet(fleet).vehicles}
-    return STATE_HOLD_MS + max(1e3 / VehicleNodeParams().rate_hz(load_vehicle_type(name)) for name in types)
+def limit_ms(fleet, vehicles=None):
+    """Within which the first vehicles of a fleet have to be sent the command to hold when states or commands stop."""
+    types = [vehicle.vehicle_type for vehicle in load_fleet(fleet).vehicles[:vehicles]]
+    return STATE_HOLD_MS + max(1e3 / VehicleNodeParams().rate_hz(vehicle_type) for vehicle_type in types)
 
 
 def main():
@@ -106,7 +106,7 @@ def main():
     args = parser.parse_args()
     if args.programs:
         args.faults = [text % program for program in PROGRAMS for text in OF_PROGRAMS]
-    hold_ms = limit_ms(args.fleet or ROOT / "launch/fleets/ardrones3.yaml")
+    hold_ms = limit_ms(args.fleet or ROOT / "launch/fleets/ardrones3.yaml", args.vehicles)
     out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("faults_%Y%m%d-%H%M%S")
     print("%d vehicles, perturbed plant (simulated); states or commands stop: p99 at most %.0f ms"
           % (args.vehicles, hold_ms))  # fmt: skip

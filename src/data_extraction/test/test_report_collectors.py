@@ -35,7 +35,9 @@ from risc_control.safety import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimit
 from risc_lab.lab import load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
+from risc_lab.lab.vehicle_types import vehicle_type_file
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase
+from risc_lab.registry import VARIABLE
 from risc_maap_msgs.msg import (
     CommandSent,
     CommandsSent,
@@ -233,6 +235,19 @@ def test_without_a_fleet_the_fence_is_that_of_the_type_that_the_bag_tells(tmp_pa
     assert fence_limits(tmp_path, rows) == pytest.approx(
         {"Raven": ardrone_m, "IRIS": ardrone_m + 0.15, "Big": ardrone_m + 0.15, "Small": ardrone_m, "Ghost": None}
     )
+
+
+def test_a_type_with_the_driver_of_another_is_told_by_no_topic(tmp_path, monkeypatch):
+    content = yaml.safe_load(vehicle_type_file("ardrone").read_text(encoding="utf-8"))
+    content.update(name="small_drone", radius_m=0.1, driver="ardrone")
+    del content["laboratory"]
+    (tmp_path / "vehicle_types").mkdir()
+    (tmp_path / "vehicle_types/small_drone.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    (tmp_path / "vehicle_types/small_drone.py").write_text("from risc_control.vehicles.ardrone import Adapter\n")
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    rows = [("/one/ardrone/takeoff", Empty(), T0_S), ("/one/vehicle_status", VehicleStatus(name="One"), T0_S + 0.1)]
+    limits = fence_limits(tmp_path, [moving(T0_S, name="One"), *rows])
+    assert limits == {"One": SafetyLimits().fence_margin_m}
 
 
 def test_without_a_fleet_file_the_fence_is_that_of_the_fleet_in_the_parameters(tmp_path):

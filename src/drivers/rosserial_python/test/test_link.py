@@ -330,6 +330,16 @@ def test_an_announcement_that_is_damaged_comes_again():
     assert sent_s - 100.0 < 0.15
 
 
+def test_an_announcement_that_is_damaged_without_a_trace_is_asked_for_again():
+    """A sum of 8 bits lets one damaged packet in 256 pass. Messages must not wait until the device is silent."""
+    scene = Scene(answers)
+    scene.run(2.0, publishing(2.0))
+    scene.look(announcement(Id.SUBSCRIBER, CONTROLS._replace(name="unknown")))
+    scene.link.post(CONTROLS.topic_id, b"command", scene.now_s)
+    scene.run(0.2, publishing(0.2))
+    assert commands(scene) == [b"command"]
+
+
 def test_an_announcement_that_is_lost_without_a_trace_comes_again():
     replies = iter((ANSWER[: -len(announcement(Id.SUBSCRIBER, CONTROLS))], ANSWER))
     scene = Scene(lambda packet: next(replies, b"") if packet == (Id.PUBLISHER, b"") else b"")

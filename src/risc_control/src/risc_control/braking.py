@@ -79,7 +79,7 @@ class Braking:
             self._plant = plants([vehicle_type])[0]
         except ValueError:  # its delay is so long that nobody can say where it will be
             return
-        self._step_max_rad = vehicle_type.tilt_step_max_rad
+        self._step_max_rad = vehicle_type.tilt_step_share * vehicle_type.tilt_max_rad
         self._delay_s = self._plant.delay_s - 0.5 * self._plant.period_s  # the last half period is that of the hold
         self._gains = np.zeros(2, _GAIN)
         most = greatest_command(vehicle_type)

@@ -87,16 +87,19 @@ class ReferenceBuffer:
         """Add a sample (orders, n, 4): 3 orders, or a Taylor series of more. A jump, another set of vehicles or a new
         clock forgets what was before.
 
-        A vehicle of which a number is not finite has no reference (`known`); the others have theirs. Returns False, and
-        takes nothing, for a stamp that does not advance (see `ClockGuard`) or when no vehicle has a reference.
+        A vehicle of which a number is not finite has no reference (`known`), until all samples that `at` goes by are
+        finite; the others have theirs. Returns False, and takes nothing, for a stamp that does not advance (see
+        `ClockGuard`) or when no vehicle has a reference.
         """
         # In this order, whatever the message's: for another one everything would be compiled, or loaded, in flight.
         stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")
         known = np.empty(sample.shape[1], dtype=bool)
-        step = self._guard.look(stamp_s) if _find_finite(sample, known) else Step.REFUSED
+        if not _find_finite(sample, known):
+            self.known = known
+            return False
+        step = self._guard.look(stamp_s)
         if step is Step.REFUSED:
             return False
-        self.known = known
         if self._samples and step is Step.ADVANCES and self._samples[-1][1].shape == sample.shape:
             last_s, last = self._samples[-1]
             if not _continues(stamp_s - last_s, last, sample):
@@ -107,6 +110,8 @@ class ReferenceBuffer:
         while stamp_s - self._samples[0][0] > _KEEP_S:
             self._samples.popleft()
         self._fit_polynomial()
+        _find_finite(self._polynomial, known)
+        self.known = known
         return True
 
     def at(self, times_s):
@@ -195,11 +200,11 @@ def _find_finite(sample, known):
 def _continues(step_s, before, sample):
     """True when a sample follows from the one before by a step of one smooth path, its yaw in the same turn.
 
-    What has just come to be no number says nothing of that; what is one again begins anew.
+    A vehicle that is not finite in both says nothing of that.
     """
     most, smooth = _TOLERANCE_1_S * step_s, step_s <= _KEEP_S
     for i in range(sample.shape[1]):
-        if not math.isfinite(sample[:, i].sum()):
+        if not math.isfinite(sample[:, i].sum() + before[:, i].sum()):
             continue
         turned = sample[0, i, Axis.PSI] - before[0, i, Axis.PSI]
         sample[0, i, Axis.PSI] -= 2.0 * np.pi * np.rint(turned / (2.0 * np.pi))

@@ -12,6 +12,7 @@ from risc_control.vehicles import REGISTRY as VEHICLE_TYPES
 from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_experiments.offline import Flight, fly
 from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.vehicle_types import DEFAULT_TYPE
 from risc_lab.registry import VARIABLE
 from risc_simulator.video.polygons import clip_polygons, coverage
 
@@ -28,7 +29,7 @@ def main():
     for name in ESTIMATORS.names():
         fly(Flight(vehicles=1, duration_s=0.1, estimator=name))
     for name in CONTROLLERS.names():
-        ControlLoop(name, [load_vehicle_type(kinds[0])])
+        ControlLoop(name, [load_vehicle_type(DEFAULT_TYPE)])
     FrameEncoder((("body", 1),))  # the virtual lab's
     clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
     coverage([np.zeros((3, 2))], (0, 0, 1, 1))

@@ -21,6 +21,8 @@ def _types_by_namespace(topics):
     """{"/risc1": name of the type} of the namespaces with topics of a type's driver, e.g. /risc1/ardrone/navdata."""
     found = {}
     for name in REGISTRY.names():
+        if load_vehicle_type(name).driver not in ("", name):
+            continue  # its topics are those of another type
         for driver in {told.partition("/")[0] for told in REGISTRY.module(name).Adapter.TOLD}:
             parts = [(topic + "/").partition("/%s/" % driver) for topic in topics]
             found.update((namespace, name) for namespace, driver_found, _ in parts if driver_found)

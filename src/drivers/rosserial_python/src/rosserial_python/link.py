@@ -152,7 +152,9 @@ class Link:
                     key = topic_id, int.from_bytes(payload[:2], "little")
                     answer = len(payload) + protocol.OVERHEAD, hash(payload)
                     if self._answers.get(key, answer) != answer:
-                        self._announced.discard(key[1])  # another program, until `confirm` is called
+                        # another program, or damage that the sum does not see: until `confirm` is called
+                        self._announced.discard(key[1])
+                        self._unsure = True
                     self._answers[key] = answer
                     self._missing.discard(key)
                     self._announced_s = now_s if self._announced_s is None else self._announced_s

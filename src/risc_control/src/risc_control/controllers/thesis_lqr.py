@@ -47,7 +47,7 @@ class Controller(controllers.Controller):
     """See the module. Delays do not matter to it, nor who flies; nothing is remembered."""
 
     PARAMS = Params
-    # Who measures the thesis measures all of it: with a filter without delay it errs half as much.
+    # Measured together with the thesis' own filter; with a filter without delay its error is half as large.
     ESTIMATOR = "thesis"
 
     def __init__(self, vehicle_types, params):

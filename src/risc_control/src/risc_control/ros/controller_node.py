@@ -181,7 +181,7 @@ class ControllerNode:
             entry = self._buffers[names] = self._new_buffer(names)
         buffer, _, columns = entry
         taken = buffer.push(stamp_s, sample)
-        without = [names[k] for k in columns if not buffer.known[k]] if taken else []
+        without = [names[k] for k in columns if not buffer.known[k]]
         if not taken or without:
             self._counts["refused references"] += 1
         if without:

@@ -35,7 +35,7 @@ from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
-from risc_lab.ros.guard import Failures, subscribe
+from risc_lab.ros.guard import Failures, guarded, subscribe
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
@@ -91,6 +91,7 @@ class VehicleNode:
         self._sent_publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
         self.controllers_s = {}  # {node of a controller: when it was heard last}
         self._vehicles = [_Vehicle(self, *who, kind, turn_s) for who, kind, turn_s in zip(chosen, types, turns_s)]
+        self._give_ups = [guarded(vehicle.give_up, "landing of %s" % vehicle.name) for vehicle in self._vehicles]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
@@ -131,8 +132,8 @@ class VehicleNode:
 
     def _on_error(self, error):
         """A callback for all vehicles has failed."""
-        for vehicle in self._vehicles:
-            vehicle.give_up(error)
+        for give_up in self._give_ups:
+            give_up(error)
 
     def nearest(self, name):
         """`Separation.nearest` of now."""

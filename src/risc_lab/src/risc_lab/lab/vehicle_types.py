@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from risc_lab.lab.yaml_reader import config_files, load_yaml
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 
-DEFAULT_TYPE = "ardrone"  # that of the original: where nobody names one, and for which distances are set
+DEFAULT_TYPE = "ardrone"  # that of the original: used where no type is named; distances are set for it
 # What a single vehicle may have otherwise than its type.
 OVERRIDABLE = (
     "mass_kg",
@@ -76,13 +76,12 @@ class VehicleType(Settings):
     # what courses may ask for: that part of the full scales (the rest is the controller's), and this speed
     course_share: between(0.1, 1.0) = 0.8
     speed_max_m_s: Positive = 3.0
-    # the most that a tilt command may change from one to the next, to be obeyed at once
-    tilt_step_max_rad: between(0.001, math.pi) = math.pi
+    tilt_step_share: between(0.01, 2.0) = 2.0  # of tilt_max_rad, the largest change of a command that is obeyed at once
     report_delay_s: between(0.0, 2.0) = 0.0  # from its measurement to the subscribers of its driver
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
     devices: dict[str, Name] = field(default_factory=dict, hash=False)
-    takes_thrust: bool = False  # its vertical command is a thrust, for us to hold it by; else a climb rate
+    takes_thrust: bool = False  # its vertical command is a thrust (we control its height); else a climb rate
     own: dict[str, typing.Any] = field(default_factory=dict, hash=False)  # that no other type has, see `own_numbers`
     airframe: Airframe | None = None  # what it is drawn as; None: as an AR.Drone
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own

@@ -62,7 +62,10 @@ def guarded(work, name, on_error=None):
             return work(*arguments)
         except Exception as error:  # of any kind: the next call must come
             if failures.note(error) and on_error is not None:
-                on_error(error)
+                try:
+                    on_error(error)
+                except Exception as second:  # of any kind, too
+                    failures.note(second)
         return None
 
     return run

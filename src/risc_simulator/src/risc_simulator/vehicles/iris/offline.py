@@ -1,6 +1,7 @@
 """An IRIS+ without sockets, for offline flights: serial line, board and radio as a clock of frames.
 
-The board is as firmware/dueppm is shipped (configuration.h).
+The board is as firmware/dueppm is shipped (configuration.h), but for its throttle lock after a failsafe, when the
+autopilot lands already, and for what it sends before its first message.
 """
 
 import math
