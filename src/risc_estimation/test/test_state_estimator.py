@@ -487,6 +487,18 @@ def test_a_picture_that_stands_still_is_none():
     assert watching.counts.markers_frozen == 4 * len(HULL) + 7
 
 
+def test_nobody_gets_the_name_of_another_from_a_picture_that_stands_still():
+    """While it does, both may have come to where it has the other: one that flies to where one stands on the floor."""
+    rng, estimator = np.random.default_rng(1), state_estimator.StatesEstimator(TEMPLATES)
+    poses = [{"fluffy_II": (0.45 * DT_S * k, 0, 0.75), "Raven": (0.1, 0.1, 0.08)} for k in range(190)]
+    frames = [{name: markers_at(at) + 1e-4 * rng.standard_normal((4, 3)) for name, at in k.items()} for k in poses]
+    feed(estimator, frames[:60])
+    feed(estimator, [frames[59]] * 90, 100.0 + 60 * DT_S)
+    last = feed(estimator, frames[150:], 100.0 + 150 * DT_S)[-1]
+    assert estimator.counts.exchanges == 0 and last.visible.all()
+    assert vehicle(last, "fluffy_II")[1][:3] == pytest.approx(poses[-1]["fluffy_II"], abs=0.01)
+
+
 def test_more_and_fewer_markers_than_the_template():
     """Old bags hold three markers a vehicle, others an extra one."""
     exact = markers_at((0, 0.5, 1), psi=-2.0)

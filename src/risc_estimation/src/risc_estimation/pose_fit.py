@@ -502,6 +502,11 @@ def _is_frozen(newest, marker, gates):
         same = same and newest[axis] == marker[axis]
         newest[axis] = marker[axis]
     newest[3] = newest[3] + 1.0 if same else 0.0
+    return _stands_still(newest, gates)
+
+
+@compiled
+def _stands_still(newest, gates):
     return newest[3] + 1.0 >= gates.frozen_frames
 
 
@@ -661,6 +666,9 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
                 continue
             markers = _named(bodies.table[bodies.table[j].place], markers_m)
             see_markers(markers, fixed.gates, seen)
+            for k in range(min(len(seen), bodies.table[j].markers)):
+                if _stands_still(bodies.newest[j][k], fixed.gates):  # it is of no frame of now
+                    seen[k] = False
             # a pose that is possible has its markers so near; to fit all pairs of a large fleet would take too long
             if _count_near(markers, seen, ahead.position_m, near_m) < MIN_MARKERS:
                 continue
