@@ -4,6 +4,7 @@ import contextlib
 import os
 import pathlib
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -121,18 +122,45 @@ def test_the_states_that_a_controller_flies_by_are_an_argument(name):
 
 
 PROGRAM, SOURCE = str(ROOT / "devel/lib/package/node"), str(ROOT / "src/package/nodes/node.py")
-BY_ROSRUN = [(PROGRAM,), ("python3", PROGRAM), ("/usr/bin/python3.11", SOURCE), (SOURCE,)]
 
 
-@pytest.mark.parametrize("words", [("node", "__name:=by_roslaunch"), *BY_ROSRUN], ids=" ".join)
-def test_nothing_is_built_under_nodes_that_run(words):
-    pretender = {"executable": shutil.which("yes"), "stdout": subprocess.PIPE}  # which waits: nobody reads
+@contextlib.contextmanager
+def shown_as(*words):
+    """A process of this workspace with this command line. It waits, as nobody reads what it prints."""
     environment = dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))
-    with subprocess.Popen(words, env=environment, **pretender) as process:
+    with subprocess.Popen(words, executable=shutil.which("yes"), env=environment, stdout=subprocess.PIPE) as process:
         try:
-            command = [str(ROOT / "maap"), "build"]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+            yield process
         finally:
             process.kill()
+
+
+def test_nothing_is_built_under_nodes_that_run():
+    with shown_as("node", "__name:=pretender") as process:
+        command = [str(ROOT / "maap"), "build"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
     assert done.returncode == 1 and "nothing is built" in done.stderr
     assert str(process.pid) in re.findall(r"\d+", done.stderr)
+
+
+@pytest.mark.parametrize(
+    "words, is_node",
+    [
+        (("node", "__name:=by_roslaunch"), True),
+        ((PROGRAM,), True),
+        (("python3", PROGRAM), True),
+        (("/usr/bin/python3.11", SOURCE), True),
+        (("vim", SOURCE), False),
+        (("python3", "-m", "pytest", SOURCE), False),
+    ],
+)
+def test_what_counts_as_a_node_of_this_workspace(words, is_node):
+    """Also what rosrun starts, by an interpreter or not; an editor is none."""
+    text = (ROOT / "maap").read_text(encoding="utf-8")
+    function = re.search(r"^nodes_of_this_workspace\(\) \{.*?^\}", text, re.MULTILINE | re.DOTALL)[0]
+    script = "root=%s\n%s\nnodes_of_this_workspace" % (shlex.quote(str(ROOT)), function)
+    with shown_as(*words) as process:
+        found = subprocess.run(
+            ["bash", "-euc", script], capture_output=True, text=True, timeout=60.0, check=True
+        ).stdout
+    assert (str(process.pid) in found.split()) == is_node

@@ -197,13 +197,19 @@ def test_a_question_that_comes_too_soon_is_asked_later():
     assert scene.requests() == pytest.approx([100.0, 100.1], abs=2 * STEP_S)
 
 
-def lost_for(duration_s):
-    """A scene whose device was lost, and now says that it is alive, but not yet what its topics are."""
+def silent_for(duration_s):
+    """A scene whose device was there, and has been lost."""
     scene = Scene(answers)
     scene.run(2.0)
     scene.device = None
     scene.run(duration_s)
     assert scene.state is State.WAITING
+    return scene
+
+
+def lost_for(duration_s):
+    """A scene whose device was lost, and now says that it is alive, but not yet what its topics are."""
+    scene = silent_for(duration_s)
     scene.sent.clear()
     scene.run(0.01, {0.0: encode(STATUS.topic_id, b"x")})
     assert scene.state is State.UP
@@ -247,11 +253,7 @@ def test_a_device_that_was_lost_for_a_moment_and_has_another_program_gets_no_mes
 
 
 def test_a_device_behind_a_reopened_port_may_be_another_one():
-    scene = Scene(answers)
-    scene.run(2.0)
-    scene.device = None
-    scene.run(0.5)
-    assert scene.state is State.WAITING
+    scene = silent_for(0.5)
     scene.link.closed(scene.now_s)
     scene.link.opened(scene.line, scene.now_s)
     scene.run(0.01, {0.0: encode(STATUS.topic_id, b"x")})
@@ -260,10 +262,7 @@ def test_a_device_behind_a_reopened_port_may_be_another_one():
 
 
 def test_a_device_that_was_lost_is_asked_more_often_for_a_while():
-    scene = Scene(answers)
-    scene.run(2.0)
-    scene.device = None
-    scene.run(5.0)
+    scene = silent_for(5.0)
     at_s = [asked_s - scene.link.facts.heard_s for asked_s in scene.requests()]
     apart_s = [(a, b - a) for a, b in itertools.pairwise(at_s) if a >= 0.3]
     assert all(0.03 <= apart < 0.05 for since, apart in apart_s if since < 2.4)
@@ -273,11 +272,7 @@ def test_a_device_that_was_lost_is_asked_more_often_for_a_while():
 
 
 def test_noise_that_looks_like_the_head_of_a_long_packet_does_not_hide_that_a_device_is_back():
-    scene = Scene(answers)
-    scene.run(2.0)
-    scene.device = None
-    scene.run(0.35)
-    assert scene.state is State.WAITING
+    scene = silent_for(0.35)
     begin_s, head = scene.now_s, encode(200, bytes(1780))[:20]
     came = {0.02 * k: encode(Id.TIME, bytes(8)) for k in range(1, 100)}  # one byte in GAP_S, and it would be given up
     scene.run(0.1, {0.0: head, **came})
