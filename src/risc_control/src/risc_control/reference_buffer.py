@@ -87,8 +87,8 @@ class ReferenceBuffer:
         """Add a sample (orders, n, 4): 3 orders, or a Taylor series of more. A jump, another set of vehicles or a new
         clock forgets what was before.
 
-        A vehicle of which a number is not finite has no reference (`known`), until all samples that `at` goes by are
-        finite; the others have theirs. Returns False, and takes nothing, for a stamp that does not advance (see
+        A vehicle with a number that is not finite has no reference (`known`) until all samples that `at` uses are
+        finite again; the others keep theirs. Returns False, and takes nothing, for a stamp that does not advance (see
         `ClockGuard`) or when no vehicle has a reference.
         """
         # In this order, whatever the message's: for another one everything would be compiled, or loaded, in flight.
@@ -200,7 +200,7 @@ def _find_finite(sample, known):
 def _continues(step_s, before, sample):
     """True when a sample follows from the one before by a step of one smooth path, its yaw in the same turn.
 
-    A vehicle that is not finite in both says nothing of that.
+    A vehicle that is not finite in both samples is left out.
     """
     most, smooth = _TOLERANCE_1_S * step_s, step_s <= _KEEP_S
     for i in range(sample.shape[1]):

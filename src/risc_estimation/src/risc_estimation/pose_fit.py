@@ -667,7 +667,7 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
             markers = _named(bodies.table[bodies.table[j].place], markers_m)
             see_markers(markers, fixed.gates, seen)
             for k in range(min(len(seen), bodies.table[j].markers)):
-                if _stands_still(bodies.newest[j][k], fixed.gates):  # it is of no frame of now
+                if _stands_still(bodies.newest[j][k], fixed.gates):  # frozen: it says nothing of now
                     seen[k] = False
             # a pose that is possible has its markers so near; to fit all pairs of a large fleet would take too long
             if _count_near(markers, seen, ahead.position_m, near_m) < MIN_MARKERS:

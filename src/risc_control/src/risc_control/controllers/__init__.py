@@ -85,7 +85,7 @@ class Controller:
     def step(self, t, states, reference, params):
         """`Command` of arrays (n,).  t: Times.  states: Bundle.  reference: Reference.  params: PARAMS.
 
-        A vehicle for which a number of it is not finite is sent none; the others fly on.
+        A vehicle with a number that is not finite gets no command; the others fly on.
         """
         raise NotImplementedError
 
