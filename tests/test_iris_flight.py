@@ -30,7 +30,7 @@ def process_of(folder, word):
 
 def cut_off(channel, fault="blackhole", duration_s=GONE_S):
     """Something happens to a wire of the vehicle."""
-    request = "{fault: '%s:duration_s=%g,channel=%s', start_s: 0.0}" % (fault, duration_s, channel)
+    request = "{fault: %s, duration_s: [%g], channel: %s}" % (fault, duration_s, channel)
 
     def inject(folder):
         master = process_of(folder, "/rosmaster").environ()

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The node of the virtual lab: ground truth, diagnostics, fault injection."""
 
+import math
 import socket
 import struct
 import threading
@@ -92,7 +93,7 @@ class VirtualLabTest(unittest.TestCase):
             light.publish(bad)
         board.publish("risc9", 1.0)
         rospy.wait_for_service("/virtual_lab/inject", 20.0)
-        self.assertTrue(rospy.ServiceProxy("/virtual_lab/inject", InjectFault)("", 0.0).success)
+        self.assertTrue(rospy.ServiceProxy("/virtual_lab/inject", InjectFault)().success)
         self.collect(10)
 
     def test_faults(self):
@@ -101,22 +102,26 @@ class VirtualLabTest(unittest.TestCase):
         self.addCleanup(subscriber.unregister)
         rospy.wait_for_service("/virtual_lab/inject", 20.0)
         inject = rospy.ServiceProxy("/virtual_lab/inject", InjectFault)
-        self.assertTrue(inject("", 0.0).success)  # those of other tests
+        self.assertTrue(inject().success)  # those of other tests
         for bad, cause in (
-            ("fire", "fire"),
-            ("mocap_blackout:-1", "duration_s"),
-            ("wind:risc9", "risc9"),
-            ("drop:channel=risc1/nav", "risc1/nav"),
-            ("wind:1@-3", "past"),
+            ({"fault": "fire"}, "fire"),
+            ({"fault": "mocap_blackout", "duration_s": [-1.0]}, "duration_s"),
+            ({"fault": "wind", "severity": [0.1, 0.2]}, "severity"),
+            ({"fault": "wind", "severity": [math.nan]}, "severity"),
+            ({"fault": "wind", "vehicle": "risc9"}, "risc9"),
+            ({"fault": "drop", "channel": "risc1/nav"}, "risc1/nav"),
+            ({"fault": "wind", "start_s": -3.0}, "past"),
+            ({"fault": "wind", "start_s": math.nan}, "start_s"),
+            ({"fault": "node_kill"}, "./maap fly"),
         ):
-            answer = inject(bad, 0.0)
+            answer = inject(**bad)
             self.assertFalse(answer.success, bad)
             self.assertIn(cause, answer.message)
             self.assertNotIn("\n", answer.message)
         self.assertTrue(self.host_answers(15.0))
 
         before_s = rospy.get_time()
-        answer = inject("blackhole:inf,channel=cortex/requests@0.5", 0.5)
+        answer = inject(fault="blackhole", duration_s=[math.inf], channel="cortex/requests", start_s=1.0)
         after_s = rospy.get_time()
         self.assertTrue(answer.success, answer.message)
 
@@ -135,17 +140,17 @@ class VirtualLabTest(unittest.TestCase):
         self.wait_until(lambda: any(record.active for record in told[-1].faults), "it does not begin")
         self.assertFalse(self.host_answers())
 
-        self.assertTrue(inject("wind:0.5,risc2", 60.0).success)
-        self.assertTrue(inject("", 0.0).success)
+        self.assertTrue(inject(fault="wind", severity=[0.5], vehicle="risc2", start_s=60.0).success)
+        self.assertTrue(inject().success)
         self.wait_until(lambda: told[-1].faults and not any(record.active for record in told[-1].faults), "no end")
         blackhole, wind = told[-1].faults
         self.assertEqual((blackhole.id, wind.vehicle), (waiting.id, "risc2"))
         self.assertGreater(blackhole.ends, blackhole.begins)
         self.assertLess(wind.ends, wind.begins, "it never began")
         self.wait_until(self.host_answers, "the fault does not end")
-        self.assertTrue(inject("wind:0.5,risc1", 60.0).success)
+        self.assertTrue(inject(fault="wind", vehicle="risc1", start_s=60.0).success)
         self.wait_until(lambda: [record.name for record in told[-1].faults] == ["wind"], "what is over is told once")
-        self.assertTrue(inject("", 0.0).success)
+        self.assertTrue(inject().success)
 
     def test_put_back(self):
         rospy.wait_for_service("/virtual_lab/put_back", 20.0)

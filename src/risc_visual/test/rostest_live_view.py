@@ -237,14 +237,14 @@ class LiveViewTest(unittest.TestCase):
         asked = []
 
         def on_inject(request):
-            asked.append((request.fault, request.start_s))
-            return InjectFaultResponse(request.fault != "wind:9", "<answer> to " + request.fault)
+            asked.append((request.fault, request.vehicle, [*request.severity], [*request.duration_s]))
+            return InjectFaultResponse([*request.severity] != [9.0], "<answer> to " + request.fault)
 
         lab = rospy.Service("/virtual_lab/inject", InjectFault, on_inject)
         self.addCleanup(lab.shutdown)
         kinds = [
             FaultKind("jump", "it is <seen> elsewhere", "severity", "m", 0.0, 5.0, 0.3, ["mild"], [0.1], True),
-            FaultKind("wind", "it blows", "severity", "m/s", 0.0, 10.0, 1.0, [], [], True),
+            FaultKind("wind", "it blows", "severity", "m/s", 0.0, 10.0, 1.0, ["breeze"], [0.5], True),
         ]
         offer = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
         self.addCleanup(offer.unregister)
@@ -252,20 +252,26 @@ class LiveViewTest(unittest.TestCase):
         wait_for(lambda: {"inject", "end all faults"} <= page.labels(), page.labels)
         wait_for(lambda: "it is &lt;seen&gt; elsewhere" in page.text() and "mild 0.1" in page.text(), page.text)
         page.press("inject")
-        wait_for(lambda: asked == [("jump", 0.0)], lambda: "%s, page: %s" % (asked, page.text()))
+        wait_for(lambda: asked == [("jump", "", [], [])], lambda: "%s, page: %s" % (asked, page.text()))
         wait_for(lambda: 'class="good">&lt;answer&gt; to jump' in page.text(), page.text)
         page.enter("fault", "wind")
         wait_for(lambda: "it blows" in page.text(), page.text)
         page.enter("argument", "9")
         offer.publish(FaultKinds(kinds=kinds))  # what comes twice changes nothing
         page.press("inject")
-        wait_for(lambda: 'class="bad">&lt;answer&gt; to wind:9' in page.text(), page.text)
+        wait_for(lambda: 'class="bad">&lt;answer&gt; to wind' in page.text(), page.text)
+        page.enter("argument", "gale")
+        page.press("inject")
+        wait_for(lambda: "breeze" in page.text().partition('class="bad">')[2], page.text)
+        page.enter("argument", "breeze")
+        page.press("inject")
+        wait_for(lambda: asked[-1] == ("wind", "", [0.5], []), lambda: str(asked))
         page.enter("argument", " 2 ")
         page.enter("vehicle", "risc2")
         page.press("inject")
-        wait_for(lambda: asked[-1] == ("wind:2,risc2", 0.0), lambda: str(asked))
+        wait_for(lambda: asked[-1] == ("wind", "risc2", [2.0], []), lambda: str(asked))
         page.press("end all faults")
-        wait_for(lambda: asked[-1] == ("", 0.0), lambda: str(asked))
+        wait_for(lambda: asked[-1] == ("", "", [], []), lambda: str(asked))
         told = rospy.Publisher("/virtual_lab/faults", Faults, queue_size=1, latch=True)
         self.addCleanup(told.unregister)
         for active, words in ((False, "jump:0.3 waits"), (True, "jump:0.3 acts"), (False, "jump:0.3 has ended")):

@@ -68,7 +68,7 @@ class SoakWatch(Watch):
 
     def end_faults(self):
         """End all faults. Returns why not; ""."""
-        return _ask("/virtual_lab/inject", InjectFault, "", 0.0)
+        return _ask("/virtual_lab/inject", InjectFault)
 
     def put_back(self, namespace):
         """Pick a vehicle up and stand it at its start. Returns why not; ""."""

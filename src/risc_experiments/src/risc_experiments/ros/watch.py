@@ -89,7 +89,9 @@ class Watch:
         try:
             with contextlib.closing(rospy.ServiceProxy("/virtual_lab/inject", InjectFault, persistent=True)) as ask:
                 for event in events:
-                    answer = ask(str(event), 0.0)
+                    answer = ask(
+                        event.fault, event.vehicle, [event.severity], [event.duration_s], event.start_s, event.channel
+                    )
                     if not answer.success:
                         self._refusal = answer.message
                         return

@@ -3,7 +3,6 @@
 import itertools
 import math
 import queue
-from dataclasses import replace
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,7 +17,7 @@ from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import is_closing
 from risc_maap_msgs.msg import Crash, FaultKind, FaultKinds, FaultRecord, Faults, Told, WaveBoard
 from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBackResponse
-from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
+from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings
 from risc_simulator.virtual_lab import LabOptions
 
 _ANSWER_S = 2.0  # within which the lab, which is busy with a frame, has carried out an order
@@ -71,6 +70,19 @@ def fault_kinds():
 
 def _header():
     return Header(stamp=rospy.Time.now())
+
+
+def _event_of(request):
+    """FaultEvent of an InjectFault. Raises ValueError."""
+    for name in ("severity", "duration_s"):
+        if len(getattr(request, name)) > 1:
+            raise ValueError("%s: '%s' is one value, or none for the default" % (request.fault, name))
+    if request.start_s < 0.0:
+        raise ValueError("%s: a fault cannot begin in the past: %g s" % (request.fault, request.start_s))
+    if fault_settings(request.fault).on_programs:
+        raise ValueError("%s happens to a program of a flight: start ./maap fly --fault with it" % request.fault)
+    (severity,), (duration_s,) = (request.severity or [None], request.duration_s or [None])
+    return FaultEvent(request.fault, request.vehicle, severity, duration_s, request.start_s, request.channel)
 
 
 def _answer(order, argument):
@@ -187,12 +199,7 @@ class VirtualLabNode:
     def _on_inject(self, request):
         """Whatever takes time is done here, in the service's own thread: files are read, modules imported."""
         try:
-            event = None
-            if request.fault:
-                event = parse_fault(request.fault)
-                event = replace(event, start_s=event.start_s + request.start_s)
-                if event.start_s < 0.0:
-                    raise ValueError("a fault cannot begin in the past: %g s" % event.start_s)
+            event = _event_of(request) if request.fault else None
         except ValueError as error:
             return InjectFaultResponse(False, str(error))
         done, text = self._carry_out(self._inject, event)

@@ -14,7 +14,10 @@ class FaultPanel:
     """Which fault, how much of it, to which vehicle; what acts; what the lab answered."""
 
     def __init__(self, server, names, inject):
-        """names: of the vehicles.  inject(text): a button was pressed; "" = end all. Called in a thread of its own."""
+        """names: of the vehicles.  inject(**fields): a button was pressed; fields of InjectFault, none: end all.
+
+        Called in a thread of its own.
+        """
         self._server, self._names, self._inject = server, names, inject
         self._lock = threading.RLock()  # messages, answers and clicks come in threads of their own
         self._folder, self._kinds, self._answer = None, {}, ("", "")
@@ -40,8 +43,8 @@ class FaultPanel:
             self._argument = gui.add_text("argument", "", hint="empty: the default")
             self._vehicle = gui.add_dropdown("vehicle", (_CHOSEN, _EACH, *self._names))
             # other colours than those of the buttons that land
-            gui.add_button("inject", color="orange").on_click(lambda _event: self._inject(self.text))
-            gui.add_button("end all faults", color="gray").on_click(lambda _event: self._inject(""))
+            gui.add_button("inject", color="orange").on_click(lambda _event: self._inject_chosen())
+            gui.add_button("end all faults", color="gray").on_click(lambda _event: self._inject())
             self._status = gui.add_html("")
         self._fault.on_update(lambda _event: self._choose())
         self._show_kind()
@@ -55,12 +58,19 @@ class FaultPanel:
             self._folder, self._kinds, self._answer = None, {}, ("", "")
             self._told, self._began = [], set()
 
-    @property
-    def text(self):
-        """The chosen fault in the words of the command line."""
-        vehicle = {_CHOSEN: "", _EACH: "*"}.get(self._vehicle.value, self._vehicle.value)
+    def _inject_chosen(self):
         kind = self._kinds[self._fault.value]
-        return _words(kind.name, ",".join(filter(None, (self._argument.value.strip(), vehicle))))
+        vehicle = {_CHOSEN: "", _EACH: "*"}.get(self._vehicle.value, self._vehicle.value)
+        fields = {"fault": kind.name, "vehicle": vehicle}
+        argument = self._argument.value.strip()
+        if argument:
+            grades = dict(zip(kind.grades, kind.grade_values))
+            try:
+                fields[kind.argument] = [grades[argument] if argument in grades else float(argument)]
+            except ValueError:
+                self.note_answer(False, "'%s' is not a number%s" % (argument, "".join(map(" or {}".format, grades))))
+                return
+        self._inject(**fields)
 
     def note(self, records):
         """FaultRecords of those that wait, act or have just ended."""

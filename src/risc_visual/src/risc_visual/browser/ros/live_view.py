@@ -122,10 +122,12 @@ class LiveView:
         self._status.note_answer(name, done, text)
         (rospy.loginfo if done else rospy.logerr)("%s: %s", name, text)
 
-    def _inject(self, fault):
-        """Ask the virtual lab for a fault, in the words of the command line."""
-        rospy.logwarn("requested from the browser: %s", "fault " + fault if fault else "the end of all faults")
-        ask_all({"": partial(_call_lab, fault)}, _ANSWER_S, lambda _name, *answer: self._faults.note_answer(*answer))
+    def _inject(self, fault="", **fields):
+        """Ask the virtual lab for a fault, or for the end of all."""
+        what = "fault " + " ".join([fault, *map(str, fields.values())]) if fault else "the end of all faults"
+        rospy.logwarn("requested from the browser: %s", what)
+        call = partial(_call_lab, fault=fault, **fields)
+        ask_all({"": call}, _ANSWER_S, lambda _name, *answer: self._faults.note_answer(*answer))
 
     def _turn(self):
         self._updater.update()
@@ -241,10 +243,10 @@ def _call_operator():
     return _call(_OPERATOR_LAND, "does not answer and may start vehicles again")
 
 
-def _call_lab(fault):
-    """Returns (done, what happens)."""
+def _call_lab(**fields):
+    """fields: of InjectFault. Returns (done, what happens)."""
     try:
-        answer = rospy.ServiceProxy(_INJECT, InjectFault)(fault, 0.0)
+        answer = rospy.ServiceProxy(_INJECT, InjectFault)(**fields)
     except rospy.ServiceException as error:
         return False, "the virtual lab does not answer (%s)" % error
     return answer.success, answer.message
