@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from risc_experiments.soak import table
-from risc_experiments.soak.flight import BAG, FAULTS
+from risc_experiments.soak.verdict import BAG, FAULTS
 from risc_lab.ros.launching import MARK, wait_until
 from risc_simulator.faults import load_faults
 

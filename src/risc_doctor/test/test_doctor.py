@@ -32,13 +32,13 @@ from risc_doctor import (
     cortex,
     disk,
     interfaces,
-    joystick,
     load,
     network,
-    ports,
+    operator_joystick,
     ros_graph,
     serial_lines,
     socket_owners,
+    taken_ports,
     vehicles,
 )
 from risc_doctor import ros_environment as ros
@@ -166,10 +166,10 @@ def test_a_port_is_shared_or_taken_and_its_owner_is_named():
         )
         with process:
             port = int(process.stdout.readline())
-            finding = ports._stream_port(port)
+            finding = taken_ports._stream_port(port)
             process.stdin.close()
         assert finding.level == level and "pid %d" % process.pid in finding.text
-    assert ports._stream_port(port).level == GREEN
+    assert taken_ports._stream_port(port).level == GREEN
 
 
 @contextlib.contextmanager
@@ -196,7 +196,7 @@ def test_what_only_root_may_is_told(tmp_path):
     first = int(pathlib.Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text())
     situation = types.SimpleNamespace(bag_folder=pathlib.Path("/usr"), fleet=LAB, master=None)
     with without_privileges():
-        port, device = ports._stream_port(1001), joystick.look(str(tmp_path / "js0"), (10, 7))
+        port, device = taken_ports._stream_port(1001), operator_joystick.look(str(tmp_path / "js0"), (10, 7))
         folder = disk.check(situation)
     if first > 1001:
         assert port.level == YELLOW and "ip_unprivileged_port_start=1001" in port.cure
@@ -437,15 +437,15 @@ def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
 
 
 def test_joysticks(monkeypatch, tmp_path):
-    needed = joystick.needed_indices()
+    needed = operator_joystick.needed_indices()
     assert needed == (10, 7), "the game pad of Appendix C"
-    assert joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
-    short = joystick.judge("js0", "Pad", 10, 8, needed)
+    assert operator_joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
+    short = operator_joystick.judge("js0", "Pad", 10, 8, needed)
     assert short.level == RED and "button 10" in short.text
-    assert "not there" in joystick.look(str(tmp_path / "js0"), needed).text
-    assert "not a joystick" in joystick.look("/dev/null", needed).text
-    monkeypatch.setattr(joystick, "_PATTERN", str(tmp_path / "js*"))
-    none = [joystick.check(Situation(fleet, "", ROOT, {})) for fleet in (VIRTUAL, LAB)]
+    assert "not there" in operator_joystick.look(str(tmp_path / "js0"), needed).text
+    assert "not a joystick" in operator_joystick.look("/dev/null", needed).text
+    monkeypatch.setattr(operator_joystick, "_PATTERN", str(tmp_path / "js*"))
+    none = [operator_joystick.check(Situation(fleet, "", ROOT, {})) for fleet in (VIRTUAL, LAB)]
     assert list(map(levels, none)) == [[GREEN], [YELLOW]]
 
 

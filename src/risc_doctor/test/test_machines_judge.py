@@ -9,7 +9,7 @@ import pytest
 
 from risc_doctor.clock_agreement import ClockState
 from risc_doctor.findings import FoundError, guarded
-from risc_doctor.machines import check, clock_offset, known_hosts, setup, ssh, topics, workspace_digest
+from risc_doctor.machines import check, clock_offset, known_hosts, setup, ssh, topic_flow, workspace_digest
 from risc_doctor.machines.experiment import Computer, load_experiment
 from risc_doctor.machines.workspace_digest import Workspace
 
@@ -104,12 +104,12 @@ def told(**changes):
     ],
 )
 def test_each_direction_of_a_topic_has_its_own_cause(there, trouble, texts):
-    (found,) = topics.judge(RISC2, MASTER, told(**there), trouble)
+    (found,) = topic_flow.judge(RISC2, MASTER, told(**there), trouble)
     assert all(text in found.text + found.cure for text in texts)
 
 
 def test_both_directions_may_fail():
-    found = topics.judge(RISC2, MASTER, told(trouble="no answer from here"), "no answer from there")
+    found = topic_flow.judge(RISC2, MASTER, told(trouble="no answer from here"), "no answer from there")
     assert [finding.level for finding in found] == ["red", "red"]
 
 

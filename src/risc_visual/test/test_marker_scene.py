@@ -18,9 +18,9 @@ from visualization_msgs.msg import Marker
 
 from risc_visual.browser import marker_scene
 from risc_visual.browser.marker_scene import MarkerScene
+from risc_visual.browser.marker_shapes import SHAPES, net_of_sheet, text_picture
 from risc_visual.browser.page_server import open_server
 from risc_visual.browser.ros import live_view
-from risc_visual.browser.shapes import SHAPES, net_of_sheet, text_picture
 
 CONFIG = pathlib.Path(__file__).parents[1] / "config"
 LIFE_S = 1.0

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from joy.device import device_name, find_by_name, open_device
-from joy.events import JoySettings, JoyState, RecordReader
+from joy.device_records import JoySettings, JoyState, RecordReader
 
 NAME = "risc maap test pad"
 EV_KEY, EV_ABS, BTN_SOUTH, ABS_X = 0x01, 0x03, 0x130, 0x00

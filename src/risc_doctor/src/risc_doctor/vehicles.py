@@ -8,7 +8,7 @@ from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 from risc_doctor import interfaces as net
 from risc_doctor import navdata_probe
 from risc_doctor.findings import YELLOW, Findings
-from risc_doctor.ports import driven_addresses
+from risc_doctor.taken_ports import driven_addresses
 
 FULL_ENOUGH_PCT, NEARLY_EMPTY_PCT = 30.0, 20.0
 _TROUBLE = {

@@ -12,7 +12,7 @@ from risc_estimation.filters import COMMAND
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.offline import RunningFlight
-from risc_experiments.on_board import OnBoardReadings
+from risc_experiments.offline_sensors import OnBoardReadings
 from risc_lab.lab import load_templates
 from risc_simulator.faults import Bodies
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras

@@ -40,7 +40,7 @@ from risc_experiments.faults_list import fault_option
 from risc_experiments.fleets import default_fleet
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S, TICK_EVERY, Chain, step_chains
 from risc_experiments.offline_outcome import breaches_of, contacts_of, judge_faults, left_course_s
-from risc_experiments.on_board import OnBoardReadings
+from risc_experiments.offline_sensors import OnBoardReadings
 from risc_experiments.option_types import add_set_option, numbers_of
 from risc_experiments.option_types import course as course_option
 from risc_experiments.option_types import speed as speed_option

@@ -12,7 +12,7 @@ from rosgraph.network import get_local_addresses
 
 from risc_doctor.findings import RED, Finding, FoundError, finding, guarded
 from risc_doctor.interfaces import source_towards
-from risc_doctor.machines import clock_offset, keep_alive, ssh, topics, workspace_digest
+from risc_doctor.machines import clock_offset, keep_alive, ssh, topic_flow, workspace_digest
 
 _LOADER_S = 15.0
 _MANIFEST_S = 30.0
@@ -82,7 +82,7 @@ def check_computer(computer, description, here):
         yield keep_alive.check(session)
         yield _env_loader(session)
         yield _workspace(session, description)
-        yield from topics.check(session, here or session.here)
+        yield from topic_flow.check(session, here or session.here)
         yield clock_offset.check(session)
         yield from _doctor(computer, session.loaded)
 

@@ -8,7 +8,7 @@ from data_extraction.report import page
 from risc_experiments import fly
 from risc_experiments.report import lab_statistics
 from risc_experiments.soak import table
-from risc_experiments.soak.flight import BAG, FAULTS
+from risc_experiments.soak.verdict import BAG, FAULTS
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.revision import revision
 

@@ -17,9 +17,9 @@ from risc_experiments.headroom import Headroom
 from risc_experiments.operator import time_limit_s
 from risc_experiments.soak import invariants, script, table
 from risc_experiments.soak.drift import Track
-from risc_experiments.soak.flight import BAG, FAULTS, FLEET, JUDGED
 from risc_experiments.soak.processes import Processes
 from risc_experiments.soak.table import RECORD
+from risc_experiments.soak.verdict import BAG, FAULTS, FLEET, JUDGED
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, wait_until
 
@@ -99,7 +99,7 @@ class Judge:
 
     def start(self, number, folder, asked, failure):
         """Judge a flight. failure: see `flight.judge_flight`."""
-        command = ["nice", "-n", "19", sys.executable, "-m", "risc_experiments.soak.flight", str(folder)]
+        command = ["nice", "-n", "19", sys.executable, "-m", "risc_experiments.soak.verdict", str(folder)]
         command += ["--cut-short"] if failure is None else ["--asked", str(asked), "--failure", failure]
         with (folder / "judge.txt").open("w") as output:
             process = subprocess.Popen(

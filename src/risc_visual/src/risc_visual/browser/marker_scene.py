@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
-from risc_visual.browser.shapes import SHAPES, look_of, turn_of
+from risc_visual.browser.marker_shapes import SHAPES, look_of, turn_of
 
 FIXED_FRAME = "cortex"
 _SAME_M = 1e-5  # positions nearer than this are the same

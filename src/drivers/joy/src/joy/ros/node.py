@@ -1,4 +1,4 @@
-"""The node `joy_node`: wires a joystick device to topics and diagnostics. What is decided is decided in joy.events."""
+"""The node `joy_node`: wires a joystick device to topics and diagnostics. joy.device_records decides."""
 
 import os
 import select
@@ -8,7 +8,7 @@ import rospy
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
 from joy.device import Rumble, device_name, find_by_name, open_device
-from joy.events import JoySettings, JoyState, PublishClock, RecordReader, Urgency
+from joy.device_records import JoySettings, JoyState, PublishClock, RecordReader, Urgency
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import load_params
 
@@ -18,7 +18,7 @@ READ_BYTES = 64 * 8
 
 
 class JoyNode:
-    """Waits in select() for records of the device; everything that is decided is decided in joy.events."""
+    """Waits in select() for records of the device; joy.device_records decides what they mean."""
 
     def __init__(self):
         (given,) = load_params(JoySettings, lenient=True)

@@ -1,10 +1,10 @@
-"""joy.events: records, dead zone, growth of the arrays, and the moments of publication."""
+"""joy.device_records: records, dead zone, growth of the arrays, and the moments of publication."""
 
 import struct
 
 import pytest
 
-from joy.events import JoyEvent, JoySettings, JoyState, PublishClock, RecordReader, Urgency
+from joy.device_records import JoyEvent, JoySettings, JoyState, PublishClock, RecordReader, Urgency
 from risc_lab.settings import settings_from
 
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80

@@ -1,6 +1,6 @@
 """Would topics flow between this computer and another one, in both directions? Tested by connections like a node's.
 
-`python -m risc_doctor.machines.topics SECONDS` is the far end and stands for a node on that computer: it prints one
+`python -m risc_doctor.machines.topic_flow SECONDS` is the far end and stands for a node on that computer: it prints one
 line of JSON, whether it reaches the master, and where others would find its topics; there it waits for a connection.
 """
 
@@ -17,7 +17,7 @@ from risc_doctor.findings import Findings
 
 _REACH_S = 2.0
 _START_S = 15.0  # for Python to start on a slow laptop
-_FAR_END = ["python", "-m", "risc_doctor.machines.topics", "5"]
+_FAR_END = ["python", "-m", "risc_doctor.machines.topic_flow", "5"]
 
 
 def check(session, here):

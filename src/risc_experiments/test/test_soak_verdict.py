@@ -8,7 +8,7 @@ import rospy
 import yaml
 
 from risc_experiments.fleets import default_fleet
-from risc_experiments.soak.flight import BAG, FLEET, JUDGED, judge_flight, main
+from risc_experiments.soak.verdict import BAG, FLEET, JUDGED, judge_flight, main
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase
 from risc_maap_msgs.msg import (
     CommandSent,

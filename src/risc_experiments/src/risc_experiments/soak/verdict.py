@@ -78,7 +78,7 @@ def judge_flight(folder, asked, failure):
 
 def main(argv=None):
     """Judge the flight in a folder. Returns the exit code."""
-    parser = argparse.ArgumentParser(prog="risc_experiments.soak.flight", description=__doc__)
+    parser = argparse.ArgumentParser(prog="risc_experiments.soak.verdict", description=__doc__)
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("--asked", type=int, default=0, help="so many faults were to happen")
     parser.add_argument("--failure", default="", help="why the flight as a whole failed")
