@@ -294,6 +294,6 @@ def test_faults_that_do_not_happen_end_the_flight(monkeypatch, tmp_path, answers
         threading.Event(),
     )
     over.set()
-    assert asked == [("mocap_blackout:0.3@2", 0.0)]
+    assert asked == [("mocap_blackout", "", [1.0], [0.3], 2.0, "")]
     problem = "no vehicle 'risc9'" if answers else "the virtual lab was asked for faults and does not answer"
     assert result == problem + "; landing was requested"
