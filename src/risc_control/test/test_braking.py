@@ -1,9 +1,6 @@
 """risc_control.braking: a vehicle that is not seen any more comes to a stop by its model."""
 
 import math
-import pathlib
-import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +10,6 @@ from risc_control.vehicle_pilot import OwnState
 from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
-from risc_lab.lab.vehicle_types import own_numbers
-from risc_lab.radio_sticks import RadioSticks
 
 STEP_S = 0.001
 
@@ -123,23 +118,6 @@ def test_a_state_that_is_new_counts_at_once():
     braking.see(still, 10.4)
     assert braking.command(10.5).stopped
     assert braking.command(14.0) is None, "nobody has asked for so long"
-
-
-@pytest.mark.parametrize("tilt_max_rad", [0.785398, 0.35])
-def test_a_command_that_is_late_changes_no_more_for_it(tilt_max_rad):
-    """The board of an IRIS+ accepts a larger change from one message to the next only when it is confirmed."""
-    vehicle_type = replace(load_vehicle_type("iris"), tilt_max_rad=tilt_max_rad)
-    sent = CommandHistory(1)
-    braking = Braking(vehicle_type, sent.vehicles[0])
-    sent.append(0, 0.0, np.zeros(4))
-    braking.see(Body(vehicle_type, (0.0, 0.6), 0.0).own(), 0.0)
-    period_s = 1.0 / vehicle_type.command_rate_hz
-    changes_rad = [abs(braking.command((1.0 + late_s) * period_s).roll_rad) for late_s in (0.0, 0.5, 3.0)]
-    assert changes_rad[0] <= changes_rad[1] == changes_rad[2]
-    zone = own_numbers(vehicle_type, RadioSticks).stick_dead_zone
-    text = (pathlib.Path(__file__).resolve().parents[3] / "firmware/dueppm/configuration.h").read_text(encoding="utf-8")
-    jump = float(re.search(r"kJump = ([\d.]+);", text)[1])
-    assert 0.95 * jump < changes_rad[1] / tilt_max_rad * (1.0 - zone) + 2.0 * zone <= jump
 
 
 def test_a_delay_that_nobody_can_predict():

@@ -1,12 +1,15 @@
 """The flying side of a vehicle type: commands to /controls for a fleet, and what an AR.Drone is sent."""
 
 import math
+import pathlib
+import re
 import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from risc_control.joystick import Sticks
 from risc_control.vehicle_pilot import OwnState
 from risc_control.vehicles import (
     Charge,
@@ -176,6 +179,25 @@ def test_sticks_are_past_the_autopilots_dead_zone(fraction):
     assert sticks == pytest.approx((-stick, -stick, 0.1, -stick))
     settles = adapter.settles_at(sticks, OWN)
     assert settles[[0, 1, 3]] == pytest.approx([fraction * unit[0], fraction * unit[1], fraction * unit[2]])
+
+
+def test_the_board_follows_at_once_what_an_iris_is_sent():
+    """What changes faster is late or refused, and whoever predicts the vehicle by its commands does not know."""
+    text = (pathlib.Path(__file__).resolve().parents[3] / "firmware/dueppm/configuration.h").read_text(encoding="utf-8")
+    jump, slew_us_s, travel_us = (
+        float(re.search(r"%s = ([\d.]+);" % name, text)[1]) for name in ("kJump", "kSlewUsPerS", "kRollTravelUs")
+    )
+    adapter, rng, now_s = adapter_class(IRIS)(IRIS, 45.0), np.random.default_rng(1), 0.0
+    before = adapter.sendable(Sticks(*rng.uniform(-1.0, 1.0, 4)), now_s)
+    for since_s in rng.uniform(0.005, 0.1, 200):
+        now_s += since_s
+        wanted = np.array(rng.uniform(-1.0, 1.0, 4))
+        sent = adapter.sendable(Sticks(*wanted), now_s)
+        changes, most = np.abs(np.subtract(sent, before)), min(jump, slew_us_s / travel_us * since_s)
+        assert changes.max() <= most + 1e-9
+        assert np.all((sent == wanted) | (changes > 0.99 * most)), "nearer to what is wanted it could not be"
+        before = sent
+    assert adapter.sendable(Sticks(0.0, 0.0, 1.0, 0.0), now_s + 0.5).up == 1.0, "the board is in its failsafe"
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.4])

@@ -5,7 +5,9 @@ import pytest
 
 from risc_control import hover
 from risc_control.vehicles import Charge
-from risc_experiments.offline import Flight, Loss, fly, fly_all
+from risc_control.vehicles.iris import Adapter
+from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, Loss, fly, fly_all
+from risc_simulator.faults import parse_fault
 
 ALONE = {"vehicles": 1, "types": ("iris",), "delay_s": 0.05}
 FIGURES = ("circle", "flat8", "slanted8")
@@ -55,6 +57,15 @@ def test_it_lands_when_it_loses_what_it_flies_on(what):
     assert result.landed == (True,)
     if what != "laptop":  # nobody says anything then
         assert "hold" in result.safety[0][2] and "land" in result.safety[1][2]
+
+
+def test_commands_that_the_board_would_hold_back_are_not_sent(monkeypatch):
+    """After a short loss they change by more than it lets through; the loop then oscillated until it met the net."""
+    loss = parse_fault("mocap_blackout:0.3@3")
+    flight = Flight("circle", seed=5, psi_deg=5 * YAW_BY_SEED_DEG, duration_s=8.0, faults=(loss,), **ALONE)
+    assert fly(flight).faults[0].outcome == "completed"
+    monkeypatch.setattr(Adapter, "sendable", lambda self, sticks, now_s: sticks)
+    assert fly(flight).faults[0].outcome != "completed", "the control arm"
 
 
 def test_the_thesis_controller_flies_it():

@@ -32,7 +32,7 @@ from risc_lab.frames import GRAVITY_M_S2
 TILT_RAD = math.radians(20.0)
 STOPPED_M_S = 0.05  # slower it holds its place, or is left to hold it by itself,
 _MEANWHILE_M_S = 0.1  # by which it brakes, too: what it does about a larger velocity of then comes on top
-_TILT_RAD_S = 6.0  # so fast does a command change: the board of an IRIS+ lets little more through (kSlewUsPerS)
+_TILT_RAD_S = 6.0  # so fast does a command change
 _BANDWIDTH = 1.5  # of the feedback, over that of the attitude loop
 _CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of an error of the velocity that one report takes away; a larger error
 _LOOPS_S = 0.6  # what was commanded earlier the attitude loops have forgotten
@@ -79,7 +79,6 @@ class Braking:
             self._plant = plants([vehicle_type])[0]
         except ValueError:  # its delay is so long that nobody can say where it will be
             return
-        self._step_max_rad = vehicle_type.tilt_step_share * vehicle_type.tilt_max_rad
         self._delay_s = self._plant.delay_s - 0.5 * self._plant.period_s  # the last half period is that of the hold
         self._gains = np.zeros(2, _GAIN)
         most = greatest_command(vehicle_type)
@@ -94,7 +93,7 @@ class Braking:
             gain.levels_m_rad = GRAVITY_M_S2 / wn**2
         self._commands = np.zeros((2 + round(MAX_HORIZON_S / STEP_S), 4))
         self._ahead(self._motion, 0.0, 0.1)  # loads what is compiled
-        _feedback(self._motion, self._gains, sent, 0.0, 0.0)
+        _feedback(self._motion, self._gains, sent, 0.0)
         _corrected(self._motion, 0.0, 0.0)
         _pushed(self._motion, 0.0, 0.0, 0.0)
 
@@ -151,9 +150,7 @@ class Braking:
         if until_s - self._at_s > _WINDOW_S:
             self._go_on(until_s - 0.5 * _WINDOW_S)
         then = self._later(until_s)
-        roll_rad, pitch_rad, meanwhile_m_s, level_m_s = _feedback(
-            then, self._gains, self._sent, now_s, self._step_max_rad
-        )
+        roll_rad, pitch_rad, meanwhile_m_s, level_m_s = _feedback(then, self._gains, self._sent, now_s)
         own = self._own._replace(
             position_m=(then.north_m, -then.east_m, then.up_m),
             velocity_m_s=(then.north_m_s, -then.east_m_s, then.up_m_s),
@@ -286,7 +283,7 @@ def _changed(motion, north_m, east_m, north_m_s, east_m_s):
 
 
 @compiled
-def _feedback(motion, gains, sent, now_s, step_max_rad):
+def _feedback(motion, gains, sent, now_s):
     """(roll, pitch, speed, speed): the command, how fast it is, and would be if it was told to be level instead."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     forward_m_s = cosine * motion.north_m_s + sine * motion.east_m_s
@@ -301,7 +298,7 @@ def _feedback(motion, gains, sent, now_s, step_max_rad):
     pitch_rad = clipped(pitch_rad, gain.most_rad)
     forward_m_s -= gain.levels_m_s_rad * motion.theta_rad + gain.levels_m_rad * motion.theta_rate_rad_s
     last = sent.newest % ROWS
-    change_rad = min(step_max_rad, _TILT_RAD_S * (now_s - sent.times_s[last]))
+    change_rad = _TILT_RAD_S * (now_s - sent.times_s[last])
     was_rad = sent.commands[last, Channel.PHI]
     roll_rad = was_rad + clipped(roll_rad - was_rad, change_rad)
     was_rad = sent.commands[last, Channel.THETA]

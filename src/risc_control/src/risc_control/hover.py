@@ -310,7 +310,9 @@ class Hover:
                 return state
             return FlightState.FLYING if autonomous else FlightState.HOVERING
         if phase is Phase.STANDING:
-            return FlightState.LANDED if state == FlightState.LANDED else FlightState.INIT
+            if state in (FlightState.LANDED, FlightState.LANDING):
+                return state
+            return FlightState.UNKNOWN if self._own is None else FlightState.INIT  # unseen, it may be anywhere
         return _STATES[phase]
 
     def trouble(self, now_s):

@@ -737,6 +737,7 @@ class VehiclePilot:
 
     def _send(self, sticks, answers, orders, now_s, own=None):
         """own: OwnState that they are for, if not the newest one."""
+        sticks = self._adapter.sendable(sticks, now_s)
         orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, own or self._state))
         self._sent.append(0, now_s, orders.command.settles_at)
         self._newest_tilts = orders.command.settles_at[[Channel.PHI, Channel.THETA]].tolist()

@@ -149,6 +149,12 @@ class Adapter:
         """Sticks for those of an operator; its `up` is a climb rate."""
         return sticks
 
+    def sendable(self, sticks, now_s):
+        """Sticks, as near to these as the vehicle follows at once from those that it was sent last. Called for each
+        message.
+        """
+        return sticks
+
     def settles_at(self, sticks, own):
         """(4,) what the vehicle settles at when it is sent these: see `command_history.Channel`."""
         raise NotImplementedError

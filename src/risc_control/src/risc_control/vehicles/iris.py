@@ -38,6 +38,7 @@ _DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sen
 _SPREAD_S = 0.25  # and more, from one to the next
 _BURST_S, _GAP_S = 0.01, 1.0  # between reports: those that were held up, and those before a gap, say nothing of now
 
+_FORGETS_S = 0.4  # without commands the board goes to others, or may
 _BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle", 2: "follows commands", 3: "failsafe"}
 
 
@@ -62,6 +63,7 @@ class Adapter(vehicles.Adapter):
         self._charge = vehicles.Charge()
         self._unit = self.units(vehicle_type)
         self._hover = hover_throttle(vehicle_type, None)
+        self._newest, self._newest_s = Sticks(0.0, 0.0, 0.0, 0.0), -math.inf  # that it was sent
 
     @staticmethod
     def units(vehicle_type):
@@ -89,9 +91,19 @@ class Adapter(vehicles.Adapter):
 
     def fly(self, command):
         if command is None:
+            self._newest_s = -math.inf  # at once: nobody predicts what it does without thrust
             return Sticks(0.0, 0.0, -1.0, 0.0)
         phi, theta, psi, weights = (part / one for part, one in zip(command, self._unit))
         return self._sticks(phi, theta, psi, self._hover + weights - 1.0 + self.trim_m_s2 / GRAVITY_M_S2)
+
+    def sendable(self, sticks, now_s):
+        """The board of the transmitter would let no more through, but later than its commands are believed to act."""
+        since_s = now_s - self._newest_s
+        if since_s < _FORGETS_S:
+            most = min(self.numbers.stick_rate_1_s * since_s, self.numbers.stick_step)
+            sticks = Sticks(*(min(max(s, last - most), last + most) for s, last in zip(sticks, self._newest)))
+        self._newest, self._newest_s = sticks, now_s
+        return sticks
 
     def settles_at(self, sticks, own):
         unit, dead = self._unit, self.numbers.stick_dead_zone

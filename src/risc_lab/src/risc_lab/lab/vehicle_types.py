@@ -76,7 +76,6 @@ class VehicleType(Settings):
     # what courses may ask for: that part of the full scales (the rest is the controller's), and this speed
     course_share: between(0.1, 1.0) = 0.8
     speed_max_m_s: Positive = 3.0
-    tilt_step_share: between(0.01, 2.0) = 2.0  # of tilt_max_rad, the largest change of a command that is obeyed at once
     report_delay_s: between(0.0, 2.0) = 0.0  # from its measurement to the subscribers of its driver
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
