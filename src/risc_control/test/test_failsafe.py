@@ -55,18 +55,19 @@ def test_normal_flight_is_ok():
     assert (verdict.level, verdict.text) == (FailsafeLevel.OK, "ok")
 
 
+def decided(verdict):
+    """What a verdict is, but for its words."""
+    return verdict.level, verdict.rule
+
+
 @pytest.mark.parametrize("what", ["state", "controls"])
 def test_loss_holds_then_lands(what):
     flight = Flight()
     flight.alive.remove(what)
     assert flight.run(0.09).level == FailsafeLevel.OK
-    verdict = flight.run(0.02)
-    assert verdict.level == FailsafeLevel.HOLD
-    assert verdict.text.startswith("hold: %s 1" % what)
+    assert decided(flight.run(0.02)) == (FailsafeLevel.HOLD, Rule[what.upper()])
     assert flight.run(0.35).level == FailsafeLevel.HOLD
-    verdict = flight.run(0.05)
-    assert verdict.level == FailsafeLevel.LAND
-    assert verdict.text.startswith("land: %s 50" % what)
+    assert decided(flight.run(0.05)) == (FailsafeLevel.LAND, Rule[what.upper()])
     assert [reaction.level for reaction in flight.ladder.reactions] == [FailsafeLevel.HOLD, FailsafeLevel.LAND]
     for reaction in flight.ladder.reactions:
         assert 0.0 < reaction.beyond_s <= 0.0051, "noticed at the first look after the limit"
@@ -135,7 +136,7 @@ def test_old_stamps_are_losses_even_when_messages_arrive():
     ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
     ladder.controls.note(0.3, 10.0)
     held = ladder.update(10.0, True, True)
-    assert held.level == FailsafeLevel.HOLD and "300 ms when it came" in held.reason
+    assert held.level == FailsafeLevel.HOLD and "300 ms" in held.reason
     ladder.note_state(INSIDE, AT_REST, 150.0, 10.1)  # the backlog after a cable was pulled
     assert ladder.update(10.1, True, True).level == FailsafeLevel.LAND
 
@@ -143,7 +144,7 @@ def test_old_stamps_are_losses_even_when_messages_arrive():
 def test_a_state_that_is_old_because_none_came_is_not_called_late():
     fresh = Freshness("state", 0.1)
     fresh.note(0.004, 5.0)
-    assert fresh.describe(5.12) == "state 124 ms old"
+    assert "124 ms" in fresh.describe(5.12) and fresh.describe(5.12).count(" ms") == 1
 
 
 def test_stamps_in_the_future_do_not_count_and_say_why():
@@ -152,18 +153,18 @@ def test_stamps_in_the_future_do_not_count_and_say_why():
     assert fresh.age_s(5.0) == 0.0, "a little is tolerated"
     fresh.note(-2.0, 5.2)
     assert fresh.age_s(5.2) == pytest.approx(0.2)
-    assert "2000 ms in the future" in fresh.describe(5.2)
+    assert "2000 ms" in fresh.describe(5.2)
     assert "clocks" in fresh.describe(5.2)
 
 
 def test_before_the_first_message():
     ladder = SafetyLadder(SafetyLimits(), ARDRONE, 0.2)
     assert math.isinf(ladder.state.age_s(1.0))
-    assert ladder.autonomy_problem(1.0) == "no state yet"
+    assert "state" in ladder.autonomy_problem(1.0)
     ladder.note_state(INSIDE, AT_REST, 0.0, 1.0)
-    assert ladder.autonomy_problem(1.0) == "no controls yet"
+    assert "controls" in ladder.autonomy_problem(1.0)
     ladder.controls.note(0.0, 1.0)
-    assert ladder.autonomy_problem(1.0) == "no navdata yet"
+    assert "navdata" in ladder.autonomy_problem(1.0)
     assert ladder.autonomy_problem(1.0, needs_navdata=False) == ""
     ladder.note_navdata(50.0, 1.0)
     assert ladder.autonomy_problem(1.0) == ""
@@ -174,7 +175,7 @@ def test_silent_vehicle_lands():
     flight = Flight()
     flight.alive.remove("navdata")
     assert flight.run(0.99).level == FailsafeLevel.OK
-    assert flight.run(0.02).text == "land: navdata silent for 1.0 s"
+    assert decided(flight.run(0.02)) == (FailsafeLevel.LAND, Rule.NAVDATA)
     off = Flight(SafetyLimits(navdata_timeout_s=0.0))
     off.alive.remove("navdata")
     assert off.run(5.0).level == FailsafeLevel.OK
@@ -185,7 +186,7 @@ def test_lost_joystick_lands_in_both_modes(autonomous):
     flight = Flight(SafetyLimits(joystick_timeout=1.0), autonomous)
     flight.alive.remove("joystick")
     assert flight.run(0.99).level == FailsafeLevel.OK
-    assert flight.run(0.02).text == "land: joystick silent for 1.0 s"
+    assert decided(flight.run(0.02)) == (FailsafeLevel.LAND, Rule.JOYSTICK)
     flight.alive.add("joystick")
     assert flight.run(1.0).level == FailsafeLevel.LAND, "stays until landed or taken over"
 
@@ -202,7 +203,7 @@ def test_a_joystick_that_is_lost_is_missed_beside_others():
     for _ in range(2):
         flight.ladder.note_joystick(flight.now_s, "/joy_node")
     assert flight.run(0.99).level == FailsafeLevel.OK
-    assert flight.run(0.02).text == "land: joystick /joy_node silent for 1.0 s"
+    assert "/joy_node" in flight.run(0.02).text and flight.ladder.verdict.level == FailsafeLevel.LAND
     flight.ladder.take_over()
     assert flight.run(5.0).level == FailsafeLevel.OK, "the operator knows of it"
     flight.ladder.note_joystick(flight.now_s, "/joy_node")
@@ -286,7 +287,7 @@ def test_the_place_where_it_stops_depends_on_its_type_its_tilt_and_its_link():
     assert ardrone.stop_m(0, 2.0) > 2.0 * ardrone.stop_m(0, 1.0)
     edge = (NET_HALF_X_M - 0.3, 0.0, 1.0)  # where the hull of an IRIS+ would be 0.1 m behind the net
     assert not ardrone.is_outside(edge) and iris.is_outside(edge)
-    with pytest.raises(ValueError, match="no room"):
+    with pytest.raises(ValueError, match="fence_min_m"):
         Fence(SafetyLimits(fence_margin_m=2.0), load_vehicle_type("iris"))
 
 
@@ -427,7 +428,7 @@ def test_low_battery_lands():
     assert flight.run(0.1).level == FailsafeLevel.OK
     flight.battery = 10.0
     assert flight.run(0.495).level == FailsafeLevel.OK
-    assert flight.run(0.02).text == "land: battery at 10 %"
+    assert decided(flight.run(0.02)) == (FailsafeLevel.LAND, Rule.BATTERY)
     off = Flight(SafetyLimits(battery_min_pct=0.0))
     off.battery = 0.0
     assert off.run(1.0).level == FailsafeLevel.OK
@@ -459,8 +460,9 @@ def test_reports_without_a_battery_change_nothing_about_it():
 def test_a_requested_landing_lands_in_every_mode_until_it_stands(autonomous):
     flight = Flight(autonomous=autonomous)
     flight.ladder.request_landing(flight.now_s)
-    assert flight.run(0.005).text == "land: landing was requested"
-    assert flight.run(10.0, obeys=True).text == "land: landing was requested", "everything is fresh, and it still lands"
+    for duration_s, obeys in ((0.005, False), (10.0, True)):
+        verdict = flight.run(duration_s, obeys=obeys)
+        assert decided(verdict) == (FailsafeLevel.LAND, Rule.REQUEST), "everything is fresh, and it still lands"
     assert flight.run(0.005, airborne=False).level == FailsafeLevel.OK
     assert flight.run(1.0).level == FailsafeLevel.OK, "the next flight is not landed"
 
@@ -485,12 +487,12 @@ def test_a_request_lands_from_hold_and_leaves_another_landing_its_reason():
     flight.alive.remove("state")
     assert flight.run(0.3).level == FailsafeLevel.HOLD
     flight.ladder.request_landing(flight.now_s)
-    assert flight.run(0.005).text == "land: landing was requested"
+    assert decided(flight.run(0.005)) == (FailsafeLevel.LAND, Rule.REQUEST)
     lost = Flight()
     lost.alive.remove("navdata")
     assert lost.run(1.5).level == FailsafeLevel.LAND
     lost.ladder.request_landing(lost.now_s)
-    assert lost.run(0.5).text == "land: navdata silent for 1.0 s"
+    assert decided(lost.run(0.5)) == (FailsafeLevel.LAND, Rule.NAVDATA)
 
 
 @pytest.mark.parametrize("limit_s", [0.5, 1.0, 0.0])
@@ -524,7 +526,7 @@ def test_landing_without_effect_becomes_the_operators():
     assert not flight.run(1.8).operator
     verdict = flight.run(0.3)
     assert verdict.operator
-    assert verdict.text.startswith("land: state 50")
+    assert verdict.rule is Rule.STATE
     assert "emergency stop" in verdict.text
 
 

@@ -72,22 +72,22 @@ def wiggle(times, size_m):
 @pytest.mark.parametrize(
     ("course", "arena", "words"),
     [
-        (level(9.0, 3.1), LARGE, "speed of 3.1 m/s, a course may for 3,"),
-        (level(0.8, 1.7), LARGE, r"tilt of 20.3 deg, a course may for 17.7,"),
-        (up_and_down(4.0), LARGE, "climb of 8.* % of full scale, a course may for 80,"),
-        (make_course("spin", 1, turn_s=20.0), LARGE, "yaw rate of 18 deg/s, a course may for 16,"),
-        (wiggle(6, 0.06), LARGE, "jerk: a tilt command of .* deg, a course may for 17.7,"),
-        (level(1.0, 0.5, height_m=0.2), LARGE, "lower than 0.3 m"),
-        (level(2.0, 0.5), Arena(), "out of the fence"),
-        (make_course("flat8", 1).faster(3.0), Arena(1.75, 1.2), "at .* m/s it could not stop inside the fence"),
+        (level(9.0, 3.1), LARGE, "speed .* 3.1 m/s.* 3,"),
+        (level(0.8, 1.7), LARGE, "tilt .* 20.3 deg.* 17.7,"),
+        (up_and_down(4.0), LARGE, "climb .* 8.* % .* 80,"),
+        (make_course("spin", 1, turn_s=20.0), LARGE, "yaw rate .* 18 deg/s.* 16,"),
+        (wiggle(6, 0.06), LARGE, "jerk: .* deg.* 17.7,"),
+        (level(1.0, 0.5, height_m=0.2), LARGE, "lower .* 0.3 m"),
+        (level(2.0, 0.5), Arena(), "out .* fence"),
+        (make_course("flat8", 1).faster(3.0), Arena(1.75, 1.2), "stop .* fence"),
     ],
 )
 def test_each_limit_is_named_with_what_is_left(course, arena, words):
     with pytest.raises(ValueError, match=words) as error:
         check_course(course, vehicles(), arena)
     text = str(error.value)
-    assert "\n" not in text and re.search(r"type 'ardrone': .* s after its begin at \(.*\) m; ", text)
-    left = re.search(r"it can be flown at --speed (\S+) or less$", text)
+    assert "\n" not in text and re.search(r"'ardrone': .* s .* \(.*\) m; ", text)
+    left = re.search(r"--speed (\S+)", text)
     if left:
         fleet = vehicles()
         slower = course.faster(speed_factor(course, left[1]))
@@ -95,7 +95,7 @@ def test_each_limit_is_named_with_what_is_left(course, arena, words):
         with pytest.raises(ValueError, match=words.split(" ")[0]):
             check_course(slower.faster(1.05), fleet, arena)
     else:
-        assert text.endswith("nor can it at any other speed") and greatest_factor(course, vehicles(), arena) == 0.0
+        assert greatest_factor(course, vehicles(), arena) == 0.0
 
 
 def test_a_circle_asks_for_what_it_must():
@@ -129,14 +129,14 @@ def test_up_to_the_greatest_factor_and_no_farther(length_m, width_m, slant_m, pe
     factor = greatest_factor(course, fleet, LARGE)
     for part in (0.3, 0.7, 0.999):
         check_course(course.faster(part * factor), fleet, LARGE)
-    with pytest.raises(ValueError, match="cannot be flown"):
+    with pytest.raises(ValueError, match="'slanted8'.*'%s'" % kind):
         check_course(course.faster(1.01 * factor), fleet, LARGE)
 
 
 def test_the_speed_that_is_left_is_that_of_the_course_by_its_numbers():
-    with pytest.raises(ValueError, match="at --speed 1.3[23]x or less"):
+    with pytest.raises(ValueError, match="--speed 1.3[23]x"):
         fleet_course("spin", vehicles(), Arena(), "4x")
-    with pytest.raises(ValueError, match="at --speed 2.0. or less"):
+    with pytest.raises(ValueError, match="--speed 2.0. "):
         fleet_course("flat8", vehicles(), Arena(), "9x")
 
 
@@ -158,9 +158,9 @@ def test_speeds():
     assert [speed_factor(course, speed) for speed in ("", "2x", 0.5 * own_m_s)] == pytest.approx([1.0, 2.0, 0.5])
     assert parse_speed("1.5") == (1.5, False) and parse_speed(" 0.5x ") == (0.5, True)
     for wrong in ("fast", "-1", "0x", "nan", "inf", "x", "1.5 m/s"):
-        with pytest.raises(ValueError, match="a speed is a number of m/s > 0, or e.g. 2x"):
+        with pytest.raises(ValueError, match="m/s.* 2x.*'%s'" % wrong):
             parse_speed(wrong)
-    with pytest.raises(ValueError, match="'origin' has no speed in m/s"):
+    with pytest.raises(ValueError, match="'origin'.* 2x"):
         speed_factor(make_course("origin", 1), "1.0")
 
 
@@ -181,14 +181,14 @@ def test_waypoints_without_times_are_flown_as_fast_as_it_goes():
     assert factor == 1.0 and peak_speed_m_s(course) == pytest.approx(0.3, rel=1e-3)
     course, factor = fleet_course(fast, vehicles(), Arena())
     assert 0.1 < factor < 1.0
-    with pytest.raises(ValueError, match="cannot be flown"):
+    with pytest.raises(ValueError, match="'ardrone'"):
         check_course(course.faster(1.01), vehicles(), Arena())
-    with pytest.raises(ValueError, match="it can be flown at --speed"):
+    with pytest.raises(ValueError, match="--speed"):
         fleet_course(fast, vehicles(), Arena(), "2.5")
     for place, time_s in zip(places, range(5)):
         place["time_s"] = 0.5 * time_s
     timed = settings_from(Waypoints, {"waypoints": places, "period_s": 2.5})
-    with pytest.raises(ValueError, match="it can be flown at --speed"):
+    with pytest.raises(ValueError, match="--speed"):
         fleet_course(timed, vehicles(), Arena())
 
 

@@ -93,11 +93,11 @@ def test_thrust_at_the_actual_tilt_lifts_what_was_asked_for():
 
 @pytest.mark.parametrize("f", [(0.0, 0.0, 0.0), (np.nan, 0.0, G), (0.0, np.inf, G), (0.0, 0.0, np.nan)])
 def test_no_attitude_for_nonsense(f):
-    with pytest.raises(ValueError, match="finite acceleration other than 0"):
+    with pytest.raises(ValueError, match="finite acceleration"):
         flat_inputs(Acceleration(*f), 0.0, 0.0, MASS_KG)
 
 
 @pytest.mark.parametrize("f", [(np.nan, 0.0, G), (0.0, 0.0, np.nan), (0.0, 0.0, np.inf)])
 def test_a_limit_makes_no_number_of_what_is_none(f):
-    with pytest.raises(ValueError, match="finite acceleration other than 0"):
+    with pytest.raises(ValueError, match="finite acceleration"):
         flat_inputs(limit_tilt(Acceleration(*f), 0.3)[0], 0.0, 0.0, MASS_KG)

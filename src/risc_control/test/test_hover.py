@@ -73,7 +73,7 @@ def test_a_refusal_is_told_in_the_autopilots_words():
     assert not desk.take(desk.pilot.on_refusal("too late", desk.now_s)).log
 
 
-@pytest.mark.parametrize(("missing", "why"), [("state", "not seen by motion capture"), ("board", "transmitter")])
+@pytest.mark.parametrize(("missing", "why"), [("state", "motion capture"), ("board", "transmitter")])
 def test_what_it_cannot_be_flown_without_keeps_it_on_the_ground(missing, why):
     desk = Desk()
     desk.alive.discard(missing)

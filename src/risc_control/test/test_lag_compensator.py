@@ -97,7 +97,7 @@ def test_who_is_not_seen_or_not_commanded_stays_as_he_is():
 
 
 def test_too_far_ahead_is_refused():
-    with pytest.raises(ValueError, match="states of 0.9 s ago"):
+    with pytest.raises(ValueError, match="0.9 s"):
         LagCompensator(TYPES).ahead(STAMP_S, STAMP_S + 0.9, states())
-    with pytest.raises(ValueError, match="too long to be predicted over"):
+    with pytest.raises(ValueError, match="command_delay_s"):
         LagCompensator([replace(ARDRONE, command_delay_s=0.79)])

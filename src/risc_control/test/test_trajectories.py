@@ -154,7 +154,7 @@ def test_up_to_five_fly_one_figure_whatever_the_net():
         assert np.array_equal(mine.at(3.3), plain.at(3.3))
     with pytest.raises(ValueError, match="at most 4 vehicles"):
         course_for_fleet("quadrants", 5, Arena())
-    with pytest.raises(ValueError, match="unknown key.s. radius; known are"):
+    with pytest.raises(ValueError, match=" radius;.* radius_m"):
         course_for_fleet("circle", 8, Arena(), radius=1.0)
 
 
@@ -165,7 +165,7 @@ def test_a_figure_that_brings_wide_vehicles_too_near_is_refused():
                 course_for_fleet("knot", vehicles, Arena(), wider_m).at(3.3), make_course("knot", vehicles).at(3.3)
             )
         else:
-            need = "'knot' brings %d vehicles within 0.* need %.2f m" % (vehicles, 0.6 + wider_m)
+            need = "'knot' .* %d vehicles .* %.2f m" % (vehicles, 0.6 + wider_m)
             with pytest.raises(ValueError, match=need):
                 course_for_fleet("knot", vehicles, Arena(), wider_m)
     assert len(course_for_fleet("knot", 4, Arena())) == 4, "AR.Drones fly it as ever"
@@ -186,7 +186,7 @@ def test_wide_vehicles_with_places_of_their_own_are_farther_apart(name, number):
 def test_many_wide_vehicles_are_kept_farther_apart_or_refused(name):
     course = course_for_fleet(name, 8, Arena(8.0, 8.0), 0.3)
     assert course_separation(course, 400) >= SAFE_SEPARATION_M + 0.3
-    with pytest.raises(ValueError, match="no room for 8 vehicles, 1.05 m apart"):
+    with pytest.raises(ValueError, match=" 8 vehicles, 1.05 m "):
         course_for_fleet(name, 8, Arena(1.6, 1.5, 2.0), 0.3)
 
 
@@ -206,7 +206,7 @@ def test_a_path_of_ones_own_is_a_function_of_the_phase(monkeypatch):
     before, here, after = (course.at(4.0 + d, 7) for d in (-1e-5, 0.0, 1e-5))
     assert (after[:-1] - before[:-1]) / 2e-5 == pytest.approx(here[1:], rel=1e-4, abs=1e-4)
     assert len(course_for_fleet("clover", 12, Arena(5.0, 5.0))) == 12
-    with pytest.raises(ValueError, match="is not smooth"):
+    with pytest.raises(ValueError, match="smooth"):
         harmonics(lambda a: (np.abs(a - 3.0), 0.0, 1.0), 8.0)
 
 
@@ -272,11 +272,11 @@ def test_reordering_swaps_whole_vehicles():
     ("name", "vehicles", "options", "message"),
     [
         ("loop", 1, {}, "loop.*circle, circles3"),
-        ("circle", 0, {}, "at least one vehicle"),
+        ("circle", 0, {}, "one vehicle"),
         ("quadrants", 5, {}, "at most 4 vehicles"),
         ("circle", 1, {"radius": 1.0}, " radius;.*height_m, period_s, radius_m"),
         ("circle", 1, {"radius_m": -1.0}, "'circle'.*'radius_m'"),
-        ("circle", 1, {"period_s": math.nan}, "'period_s' must be finite"),
+        ("circle", 1, {"period_s": math.nan}, "'period_s' .* finite"),
     ],
 )
 def test_wrong_courses_say_why(name, vehicles, options, message):
@@ -342,7 +342,7 @@ def test_blend_turns_the_short_way():
     yaws = way.at(np.array([1.0, 3.0, 3.9999, 4.0, 9.0]))[0, :, 3]
     assert yaws[:3] == pytest.approx([3.03, 3.25, 2.0 * math.pi - 3.0], abs=0.01)
     assert yaws[3:] == pytest.approx([-3.0, -3.0]), "from its end on it is the end"
-    with pytest.raises(ValueError, match="needs a time > 0"):
+    with pytest.raises(ValueError, match="time > 0"):
         blend(standing(place, 0.0), standing(place, 0.0), 0.0, 0.0)
 
 

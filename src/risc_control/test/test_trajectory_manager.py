@@ -241,7 +241,7 @@ def test_another_course_in_flight():
         times, derivatives, phases = record(manager, begin_s, begin_s + 12.0)
         assert phases[0] == (Phase.APPROACH,) and phases[-1] == (Phase.COURSE,)
         assert_smooth(times, derivatives)
-    with pytest.raises(ValueError, match="the course is for 2 vehicles"):
+    with pytest.raises(ValueError, match=" 2 vehicles"):
         manager.set_course(make_course("circle", 2), begin_s)
 
 
@@ -405,5 +405,5 @@ def test_without_smooth_start_it_is_on_the_course_at_once():
 
 
 def test_numbers_must_match():
-    with pytest.raises(ValueError, match="1 vehicles, 1 homes and a course for 2"):
+    with pytest.raises(ValueError, match="1 vehicles, 1 homes .* 2"):
         TrajectoryManager(["a"], [Home((0, 0, 1), 0.0)], make_course("circle", 2))

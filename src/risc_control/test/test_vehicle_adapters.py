@@ -117,7 +117,7 @@ def test_sticks_are_the_fractions_and_giving_way_is_in_radians():
 
 
 def test_a_type_without_adapter_names_the_known_ones():
-    with pytest.raises(ValueError, match="'zeppelin' among the vehicle_types; known are: ardrone"):
+    with pytest.raises(ValueError, match="'zeppelin' .* vehicle_types; .* ardrone"):
         adapter_class(replace(ARDRONE, name="zeppelin"))
 
 
@@ -222,9 +222,9 @@ def test_calls_that_never_come_back_hold_up_nobody():
     with pytest.raises(ZeroDivisionError):
         calls(lambda: 1 / 0)
     for _ in range(4):
-        with pytest.raises(TimeoutError, match="no answer within 0.05 s"):
+        with pytest.raises(TimeoutError, match="0.05 s"):
             calls(hangs.wait)
-    with pytest.raises(TimeoutError, match="4 calls before it"):
+    with pytest.raises(TimeoutError, match="4 calls"):
         calls(max, 1, 2)
     hangs.set()
     patient = Calls(60.0)

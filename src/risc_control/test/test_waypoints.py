@@ -96,7 +96,7 @@ def test_derivatives_are_central_differences(points, closed, part):
 def test_several_fly_it_one_after_the_other_where_that_keeps_them_apart():
     course = course_for_fleet(waypoints(), 3, Arena())
     assert len(course) == 3 and course_separation(course) > 0.75
-    with pytest.raises(ValueError, match="brings 2 vehicles within 0.0. m of each other: fly fewer"):
+    with pytest.raises(ValueError, match=" 2 vehicles .* 0.0. m "):
         make_course(waypoints(closed=False), 2)
     assert len(course_for_fleet(waypoints(), 12, Arena(8.0, 8.0))) == 12, "and more fly copies"
 
@@ -118,37 +118,37 @@ def test_a_file(tmp_path):
     path.write_text(yaml.safe_dump({"waypoints": [{"position_m": list(p)} for p in SQUARE]}))
     assert make_course(find_course(str(path)), 1).name == "my"
     path.write_text("name: mine\nwaypoints:\n  - {position: [1, 2, 3]}\n")
-    with pytest.raises(ValueError, match=r"my.yaml: waypoints\[0\]: unknown key\(s\) position; known are position_m"):
+    with pytest.raises(ValueError, match=r"my.yaml: waypoints\[0\]: .* position; .* position_m"):
         load_waypoints(path)
-    with pytest.raises(ValueError, match="cannot read .*none.yaml"):
+    with pytest.raises(ValueError, match="none.yaml"):
         find_course(str(tmp_path / "none.yaml"))
 
 
 @pytest.mark.parametrize(
     ("points", "each", "fields", "message"),
     [
-        (SQUARE[:1], None, {}, "needs 2 to 200 waypoints, there are 1"),
-        ([*SQUARE, (1.0, -1.01, 0.8)], None, {}, "waypoints 4 and 5 are at the same place, .*leave one out"),
-        ([*SQUARE, SQUARE[0]], None, {}, "waypoints 5 and 1 .*the way back to the first is flown in any case"),
-        (SQUARE, [{"yaw_deg": 3.0}, {}, {}, {}], {}, "waypoint 2 has no yaw_deg, and others have one"),
-        (SQUARE, [{}, {}, {"time_s": 3.0}, {}], {}, "waypoint 1 has no time_s"),
+        (SQUARE[:1], None, {}, "2 to 200 waypoints, .* 1"),
+        ([*SQUARE, (1.0, -1.01, 0.8)], None, {}, "waypoints 4 and 5 "),
+        ([*SQUARE, SQUARE[0]], None, {}, "waypoints 5 and 1 .* first "),
+        (SQUARE, [{"yaw_deg": 3.0}, {}, {}, {}], {}, "waypoint 2 .* yaw_deg"),
+        (SQUARE, [{}, {}, {"time_s": 3.0}, {}], {}, "waypoint 1 .* time_s"),
         (
             SQUARE,
             [{"time_s": k + 1.0} for k in range(4)],
             {"period_s": 9.0},
-            "time_s of the first .* must be 0, found 1",
+            "time_s .* first .* 0, found 1",
         ),
         (SQUARE, [{"time_s": 1.0 * k} for k in range(4)], {}, "period_s is missing"),
-        (SQUARE, [{"time_s": 1.0 * k} for k in range(4)], {"period_s": 3.0}, "period_s must be later .* 3 s, found 3"),
+        (SQUARE, [{"time_s": 1.0 * k} for k in range(4)], {"period_s": 3.0}, "period_s .* 3 s, found 3"),
         (
             SQUARE,
             [{"time_s": t} for t in (0.0, 2.0, 2.0, 5.0)],
             {"closed": False},
-            "time_s of waypoint 3 must be later",
+            "time_s of waypoint 3 ",
         ),
-        (SQUARE, None, {"period_s": 3.0}, "leave it out"),
-        (SQUARE, None, {"speed_m_s": 0.0}, "'speed_m_s' must be"),
-        ([(0.0, math.nan, 1.0), *SQUARE], None, {}, "must be finite"),
+        (SQUARE, None, {"period_s": 3.0}, "period_s .* time_s"),
+        (SQUARE, None, {"speed_m_s": 0.0}, "'speed_m_s'"),
+        ([(0.0, math.nan, 1.0), *SQUARE], None, {}, "finite"),
         ([(0.0, 1.0), *SQUARE], None, {}, r"position_m"),
     ],
 )

@@ -130,7 +130,7 @@ def test_where_the_lens_model_folds_there_is_no_angle():
 
 
 def test_a_calibration_without_projection_has_no_rectified_picture():
-    with pytest.raises(ValueError, match="plain: projection_matrix has no focal length.*calibrate"):
+    with pytest.raises(ValueError, match="plain: projection_matrix .*calibrate"):
         make_camera(replace(PLAIN, P=(0.0,) * 12), True)
 
 
@@ -155,7 +155,7 @@ def test_camera_info_is_the_calibration_file():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"distortion_model": "equidistant"}, "distortion_model must be plumb_bob"),
+        ({"distortion_model": "equidistant"}, "distortion_model .*plumb_bob"),
         ({"D": [0.0] * 8}, "5 coefficients"),
         ({"binning_x": 2}, "binning"),
         ({"roi": SimpleNamespace(x_offset=10, y_offset=0, width=100, height=100)}, "region of interest"),

@@ -39,8 +39,8 @@ def test_values_are_converted_and_unknown_keys_reported():
         ({"filter": 1}, "filter"),
         ({"vehicles": "Raven"}, "vehicles"),
         ({"templates_file": 3}, "templates_file"),
-        ({"silence_s": -1.0}, "'silence_s' must be"),
-        ({"queue_s": 0.0}, "'queue_s' must be"),
+        ({"silence_s": -1.0}, "'silence_s'"),
+        ({"queue_s": 0.0}, "'queue_s'"),
     ],
 )
 def test_bad_values_name_their_key(values, message):
@@ -66,5 +66,5 @@ def test_settings_of_the_filter_may_be_private_parameters():
     given = {"filter": "thesis", "max_gap_s": 0.2, "silence_s": 0.3}
     (node, told), unknown = params_from_dict([NodeParams, settings], given)
     assert (told.max_gap_s, told.position_order, node.silence_s, unknown) == (0.2, 1, 0.3, [])
-    with pytest.raises(ValueError, match="known are: .*least_squares, thesis"):
+    with pytest.raises(ValueError, match="kalmann.*: .*least_squares, thesis"):
         REGISTRY.module("kalmann")

@@ -45,7 +45,7 @@ def test_the_registry_holds_them_all_and_each_has_its_settings():
     assert REGISTRY.names() == NAMES
     for name in NAMES:
         assert set(REGISTRY.settings(name)) == {item.name for item in fields(REGISTRY.module(name).Filter.PARAMS)}
-    with pytest.raises(ValueError, match="'kalmann' among the filters; known are: %s" % ", ".join(NAMES)):
+    with pytest.raises(ValueError, match="'kalmann' .*filters; .*: %s" % ", ".join(NAMES)):
         make_filter("kalmann")
 
 

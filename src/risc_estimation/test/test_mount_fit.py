@@ -137,14 +137,14 @@ def test_one_landmark_from_one_place_tells_two_angles_only():
 def test_too_few_bearings_are_refused_with_the_cure():
     samples = everything(fly(TRUE, duration_s=1.0))
     assert 0 < len(samples.times_s) < 30
-    with pytest.raises(ValueError, match="too few, 30 are needed: let the camera see landmarks"):
+    with pytest.raises(ValueError, match="^%d .* 30 " % len(samples.times_s)):
         fit_mount(samples, TRUE)
 
 
 def test_many_wrong_bearings_are_told():
     samples = with_wrong_ones(noisy(flown(), 1), 0.42, 1)
     fit = fit_mount(samples, displaced(TRUE, 1))
-    assert any("of the bearings do not fit" in text for text in fit.warnings), fit.warnings
+    assert any("42 %" in text for text in fit.warnings), fit.warnings
 
 
 def test_errors_in_pixels_are_those_of_the_picture():

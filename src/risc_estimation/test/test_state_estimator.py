@@ -1,6 +1,7 @@
 """From markers to states: signs, exact recovery, visibility rules, identity by name, bad data."""
 
 import functools
+import re
 
 import numpy as np
 import pytest
@@ -265,14 +266,14 @@ def test_unknown_names_are_counted_and_do_no_harm():
 
 @pytest.mark.parametrize("name", ["nobody", "Green_pink"])
 def test_a_listed_vehicle_needs_a_vehicle_template(name):
-    with pytest.raises(ValueError, match="vehicle '%s' needs a template" % name):
+    with pytest.raises(ValueError, match="vehicle '%s' .*template" % name):
         StatesEstimator(TEMPLATES, vehicles=["Raven", name])
 
 
 def test_a_template_with_two_markers_is_refused_before_anything_flies():
     tip = TEMPLATES["Pendulum_tip"]
     short = type(tip)("short", tip.kind, tip.marker_names[:2], tip.markers_m[:2])
-    with pytest.raises(ValueError, match="'short' has 2 markers"):
+    with pytest.raises(ValueError, match="'short' .* 2 markers"):
         StatesEstimator({"short": short})
 
 
@@ -306,7 +307,7 @@ def test_layouts_may_alternate_and_bodies_join_at_any_time():
 
 @pytest.mark.parametrize("shape", [(3, 3), (5, 3), (4, 2), (12,)])
 def test_markers_that_do_not_match_their_layout_are_refused(shape):
-    with pytest.raises(ValueError, match="the layout has 4 markers, the array is"):
+    with pytest.raises(ValueError, match=" 4 markers, .*" + re.escape(str(shape))):
         StatesEstimator(TEMPLATES).update(0.0, (("fluffy_II", 4),), np.zeros(shape))
 
 
@@ -636,7 +637,7 @@ def test_noise_of_a_hovering_vehicle():
         ({"angle_order": 1.5}, "angle_order"),
         ({"smooth_angles": 1}, "smooth_angles"),
         ({"min_samples": 1}, "min_samples"),
-        ({"min_span_s": 0.14}, "no vehicle would ever become visible"),
+        ({"min_span_s": 0.14}, "min_span_s"),
         ({"windwo_s": 0.1}, "windwo_s"),
     ],
 )

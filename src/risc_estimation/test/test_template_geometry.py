@@ -51,7 +51,7 @@ def test_false_frames_change_nothing():
         (lambda r: r + np.linspace(0.0, 0.01, len(r))[:, None, None], "marker 1 has moved"),
         (lambda r: r + 0.03 * (np.arange(len(r)) > 500)[:, None, None] * [[0], [1], [0], [0]], "marker 2 has moved"),
         (lambda r: r + 0.02 * np.sin(np.arange(len(r)))[:, None, None] * [[0], [0], [1], [0]], "marker 3 shakes"),
-        (lambda r: np.where((np.arange(len(r)) % 3 > 0)[:, None, None], np.nan, r), "marker 1 is seen in 33 %"),
+        (lambda r: np.where((np.arange(len(r)) % 3 > 0)[:, None, None], np.nan, r), "marker 1 .* 33 %"),
     ],
 )
 def test_what_does_not_rest_is_refused(spoil, problem):
@@ -116,7 +116,7 @@ def test_the_axes_are_those_of_the_kind():
     learnt_m, match = in_axes_of(seen_m + [[0.004], [0.0], [0.0], [0.0]], HULL)
     np.testing.assert_allclose(learnt_m, HULL.markers_m, atol=0.006)
     assert 0.001 < match.rms_m < 0.004
-    with pytest.raises(ValueError, match="3 markers are no template like fluffy_II, which has 4"):
+    with pytest.raises(ValueError, match="3 markers .* fluffy_II.* 4"):
         in_axes_of(SQUARE_M, HULL)
 
 

@@ -63,7 +63,7 @@ def broken(tmp_path, change):
         (lambda c: c.pop("camera_matrix"), "camera_matrix"),
         (lambda c: c.update(image_height=360.5), "image_height"),
         (lambda c: c.update(image_width="640 px"), "image_width"),
-        (lambda c: c["camera_matrix"].update(rows=2), "'camera_matrix' must be 3 x 3, found 2 rows"),
+        (lambda c: c["camera_matrix"].update(rows=2), "'camera_matrix' .* 3 x 3, found 2 rows"),
         (lambda c: c["camera_matrix"]["data"].pop(), "8 numbers"),
         (lambda c: c["projection_matrix"].update(cols=3), "projection_matrix"),
         (lambda c: c["camera_matrix"]["data"].__setitem__(0, "wide"), "wide"),
@@ -89,7 +89,7 @@ def test_a_wrong_calibration_file_is_one_clear_error(tmp_path, change, message):
         (lambda c: c.update(distortion_model="equidistant"), "plumb_bob"),
         (
             lambda c: c["distortion_coefficients"].update(cols=8, data=[0.1] * 8),
-            "5 coefficients, found plumb_bob with 8",
+            "5 coefficients, .* 8",
         ),
     ],
 )

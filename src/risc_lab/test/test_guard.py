@@ -1,6 +1,7 @@
 """Callbacks that fail: what is logged, who is told, and that the next message comes."""
 
 import functools
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -48,9 +49,9 @@ def test_what_fails_with_every_message_is_logged_once_with_its_traceback_and_the
         run("message")
         desk.now_s += 2.0**-7  # which adds up to 10 s exactly
     first, again = desk.errors
-    assert first.startswith("the test failed, please report it (KeyError: 'of the test')\nTraceback")
+    assert re.match(r"the test .*\(KeyError: 'of the test'\)\nTraceback", first)
     assert "in failing" in first
-    assert again == "the test failed again 1280 times (KeyError: 'of the test')"
+    assert re.match("the test .* 1280 .*KeyError", again)
 
 
 def test_another_error_has_a_traceback_of_its_own(desk):

@@ -87,12 +87,12 @@ def test_links_are_at_the_address_or_at_devices(fleet_dict, radio_type):
 @pytest.mark.parametrize(
     ("kind", "devices", "message"),
     [
-        ("radio", {}, "'address' is not written yet"),
-        ("radio", {"arduino": "/dev/ttyACM0"}, "'risc1' has no address, and no telemetry in its `devices`"),
-        ("radio", {"arduno": "/dev/ttyACM0"}, "no device arduno; it has arduino, telemetry"),
-        ("ardrone", {"arduino": "/dev/ttyACM0"}, "no device arduino; it is reached by its address alone"),
-        ("radio", {"arduino": 3}, "devices.arduino' must be a text"),
-        ("radio", {"arduino": ""}, "devices.arduino' must be .*length"),
+        ("radio", {}, r"vehicles\[0\]: 'address' "),
+        ("radio", {"arduino": "/dev/ttyACM0"}, "'risc1' .* address, .* telemetry .*`devices`"),
+        ("radio", {"arduno": "/dev/ttyACM0"}, "arduno; .* arduino, telemetry"),
+        ("ardrone", {"arduino": "/dev/ttyACM0"}, "arduino; .* address "),
+        ("radio", {"arduino": 3}, "devices.arduino' .*text"),
+        ("radio", {"arduino": ""}, "devices.arduino' .*length"),
         ("radio", {"arduino": "/dev/ttyACM0", "telemetry": "/dev/ttyACM0"}, "device twice: /dev/ttyACM0"),
     ],
 )
@@ -116,7 +116,7 @@ def test_subnet_moves_every_address_and_nothing_else(fleet_dict):
 def test_too_many_vehicles_are_refused(fleet_dict):
     fleet = fleet_from_dict(fleet_dict)
     assert len(fleet.with_vehicles(2).vehicles) == 2
-    with pytest.raises(ValueError, match="has 3 vehicles, 4"):
+    with pytest.raises(ValueError, match=" 3 vehicles, 4"):
         fleet.with_vehicles(4)
 
 
@@ -132,26 +132,26 @@ def set_in(content, path, value):
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        (["vehicles"], [], "at least one vehicle"),
-        (["vehicles"], "risc1", "must be a list"),
+        (["vehicles"], [], "one vehicle"),
+        (["vehicles"], "risc1", "vehicles.* list"),
         (["vehicles", 0, "namespace"], "risc2", "same namespace: risc2"),
         (["vehicles", 0, "namespace"], "1risc", "no ROS name"),
         (["vehicles", 0, "template"], None, "template' is missing"),
         (["vehicles", 0, "adress"], "127.0.0.9", "unknown key.* adress"),
         (["vehicles", 0, "address"], "localhost", "IPv4 address"),
-        (["vehicles", 1, "address"], "", r"vehicles\[1\]: 'address' is not written yet"),
-        (["mocap", "host"], "", "fleet: mocap: 'host' is not written yet"),
+        (["vehicles", 1, "address"], "", r"vehicles\[1\]: 'address' "),
+        (["mocap", "host"], "", "fleet: mocap: 'host' "),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0], "list of length 3"),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0, float("nan")], "finite"),
         (["landmarks", 0, "name"], "Pink_blue", "Pink_blue"),
         (["mocap", "stream_port"], 70000, "65535"),
         (["mocap", "stream_group"], "10.0.0.1", "no multicast"),
-        (["mocap", "rate_hz"], "fast", "must be a number"),
-        (["mocap"], 5, "must be a mapping"),
+        (["mocap", "rate_hz"], "fast", "mocap.rate_hz.* number"),
+        (["mocap"], 5, "mocap.* mapping"),
         (["arena"], {"half_x_m": -1.0}, "arena.*half_x_m"),
         (["arena"], {"half_x_m": "wide"}, "half_x_m"),
         (["arena"], {"radius_m": 3.0}, "arena.*radius_m"),
-        (["arena"], [5, 4], "must be a mapping"),
+        (["arena"], [5, 4], "arena.* mapping"),
         (["templates"], {"geometries": {}, "templates": {"x": {"kind": "vehicle", "geometry": "y"}}}, "geometry 'y'"),
         (["templates"], ["fluffy_II"], "templates"),
         (["templates"], {"geometries": {"wide": {"a": [0.0, 1.0, "high"]}}}, r"templates.geometries.wide.a\[2\]"),
@@ -237,14 +237,14 @@ def test_rows_are_around_the_origin():
 
 
 def test_unreadable_files_are_named(tmp_path):
-    with pytest.raises(ValueError, match="cannot read .*nowhere"):
+    with pytest.raises(ValueError, match="/nowhere.yaml"):
         load_fleet(tmp_path / "nowhere.yaml")
     bad = tmp_path / "bad.yaml"
     bad.write_text("a: [1,\nb: 2")
-    with pytest.raises(ValueError, match="not valid YAML"):
+    with pytest.raises(ValueError, match="bad.yaml.* YAML"):
         load_fleet(bad)
     bad.write_text("- 1\n- 2\n")
-    with pytest.raises(ValueError, match="must hold `key: value`"):
+    with pytest.raises(ValueError, match="bad.yaml.*`key: value`"):
         load_fleet(bad)
 
 
@@ -277,7 +277,7 @@ def test_template_mistakes_are_named():
     line = {"a": [0.0, 0, 0], "b": [0.1, 0, 0], "c": [0.2, 0, 0]}
     with pytest.raises(ValueError, match="off one line"):
         TemplateSet({"line": line}, {"x": {"kind": "vehicle", "geometry": "line"}})
-    with pytest.raises(ValueError, match="unknown geometry 'cube'"):
+    with pytest.raises(ValueError, match="'cube'"):
         TemplateSet({}, {"x": {"kind": "vehicle", "geometry": "cube"}})
     with pytest.raises(ValueError, match="kind"):
         TemplateSet({"g": line}, {"x": {"kind": "bird", "geometry": "g"}})

