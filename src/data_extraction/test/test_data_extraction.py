@@ -183,7 +183,7 @@ def test_columns_that_appear_late_are_completed(tmp_path):
 
 
 def test_what_is_wrong_with_a_bag_is_said(flight_bag, tmp_path):
-    with pytest.raises(BagError, match="no such file"), Bag(tmp_path / "none.bag"):
+    with pytest.raises(BagError, match="none.bag"), Bag(tmp_path / "none.bag"):
         pass
     broken = tmp_path / "broken.bag"
     broken.write_bytes(flight_bag.read_bytes()[:5000])
@@ -191,7 +191,7 @@ def test_what_is_wrong_with_a_bag_is_said(flight_bag, tmp_path):
         pass
     text = tmp_path / "text.bag"
     text.write_text("no bag at all")
-    with pytest.raises(BagError, match="not a complete ROS 1 bag"), Bag(text):
+    with pytest.raises(BagError, match="text.bag.*rosbag reindex"), Bag(text):
         pass
     with Bag(flight_bag) as bag, pytest.raises(BagError, match="/nothing.*/cortex_raw"):
         list(bag.messages(["/nothing"]))

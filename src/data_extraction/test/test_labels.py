@@ -197,12 +197,12 @@ PICTURES = tuple("/risc1/ardrone/" + name for name in ("image_raw", "image_rect_
 
 
 def test_what_a_bag_lacks_is_said(tmp_path):
-    assert "has no pictures" in refused(tmp_path, leave_out=PICTURES)
+    assert "--topics" in refused(tmp_path, leave_out=PICTURES)
     assert "/cortex_raw" in refused(tmp_path, leave_out=("/cortex_raw",))
-    assert "record camera_info" in refused(tmp_path, leave_out=("/risc1/ardrone/camera_info",))
+    assert "`calibration`" in refused(tmp_path, leave_out=("/risc1/ardrone/camera_info",))
     assert "/risc9/image" in refused(tmp_path, topics=["/risc9/image"])
     assert "risc_msgs/msg/Cortex" in refused(tmp_path, topics=["/cortex_raw"])
-    assert "Are both stamped by the same clock" in refused(tmp_path, params=LabelParams(delay_s=100.0))
+    assert "100 s" in refused(tmp_path, params=LabelParams(delay_s=100.0))
 
 
 def test_a_camera_of_a_vehicle_that_nobody_knows_is_said(tmp_path):
@@ -220,7 +220,7 @@ def test_a_camera_of_a_vehicle_that_nobody_knows_is_said(tmp_path):
     [
         ({"encoding": "32FC1"}, "32FC1"),
         ({"data": b"123"}, "3 bytes in all"),
-        ({"step": 3}, "has rows of 3"),
+        ({"step": 3}, "rows of 3"),
         ({"width": 320, "step": 960, "data": bytes(960 * 360)}, "320x360"),
     ],
 )
@@ -246,4 +246,4 @@ def test_the_command_line(bag_file, tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0 and "27 pictures" in done.stdout, done.stderr
     done = subprocess.run([sys.executable, script, "none.bag"], capture_output=True, text=True)
-    assert done.returncode == 1 and done.stderr == "label_images: none.bag: no such file\n"
+    assert done.returncode == 1 and "none.bag" in done.stderr and done.stderr.count("\n") == 1

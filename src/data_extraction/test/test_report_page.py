@@ -258,7 +258,7 @@ def test_its_figures_are_those_of_the_bag(page):
     )
     assert ["fluffy_II", "1000", "10", "0.50\u202f%", "0"] in page.rows, "markers"
     assert ["fluffy_II", "10", "1.00\u202f%", "1", "200\u202fms"] in page.rows, "states"
-    assert ["body refused: its markers do not fit the template", "3", "0.32\u202f%"] in page.rows
+    assert ["3", "0.32\u202f%"] in [row[1:] for row in page.rows], "bodies refused"
     assert ["8.00\u202fs", "risc1", "hold", "state 120 ms old <b>", "0.20\u202fs"] in page.rows
     assert rows["fluffy_II: Green_pink"][1] != "0"
 
@@ -285,12 +285,8 @@ def test_a_poor_bag_says_what_is_missing(tmp_path):
     assert tuple(page.ids) == ("flown", "map", "mocap", "fence", "battery", "contents", "missing")
     assert "not judged" in page.text and "simulated" not in page.text
     assert "parameters (SHA-256) unknown" in page.text
-    for reason in (
-        "there is no /trajectory in the bag", "the times of the datagrams were not recorded (/mocap_time)",
-        "the estimator's counters were not recorded (/estimator_status)", "no vehicle's safety topic was recorded",
-        "no pictures were recorded", "no bearings",
-    ):  # fmt: skip
-        assert reason in page.text, reason
+    for lacked in ("/trajectory", "/mocap_time", "/estimator_status", "safety topic", "image_raw", "/angles"):
+        assert lacked in page.text, lacked
 
 
 def test_a_bag_of_the_original_release_is_matched_by_place(tmp_path):
@@ -310,10 +306,10 @@ def test_a_bag_of_the_original_release_is_matched_by_place(tmp_path):
     write_bag(tmp_path / "legacy.bag", rows, unstamped=("/trajectory",))
     make(tmp_path / "legacy.bag", folder=tmp_path / "out")
     page = read(tmp_path / "out" / "report.html")
-    assert "tracking" in page.ids and "/trajectory names courses, not vehicles (Circle)" in page.text.replace("T", "/t")
+    assert "tracking" in page.ids and "(Circle)" in page.text
     assert next(row for row in page.rows if row[:1] == ["fluffy_II"])[-1] == "20.0\u202fms", "lag: both on one clock"
-    assert "has no stamps: times are those of receipt" in page.text
-    assert "all of the time with a reference was judged" in page.text
+    assert "no stamps" in page.text
+    assert "no /trajectory_phase" in page.text
     assert ["fluffy_II", "1000", "10", "0.50\u202f%", "0"] in page.rows
 
 
@@ -324,8 +320,8 @@ def test_topics_of_other_types_are_named_and_left_out(tmp_path):
     make(tmp_path / "other.bag", folder=tmp_path)
     page = read(tmp_path / "report.html")
     assert {"map", "ladder", "fence"} <= set(page.ids) and "tracking" not in page.ids
-    assert "/trajectory was not read: it is of type nav_msgs/Path, the lab's is of type Trajectories." in page.text
-    assert "/robot/safety was not read: it is of type std_msgs/Bool, the lab's is of type Safety." in page.text
+    assert re.search("/trajectory was not read[^.]* nav_msgs/Path[^.]* Trajectories[.]", page.text)
+    assert re.search("/robot/safety was not read[^.]* std_msgs/Bool[^.]* Safety[.]", page.text)
     assert "/joy was not read" in page.text and page.text.count("was not read") == 3
 
 
@@ -339,9 +335,9 @@ def test_a_bag_from_when_phases_were_text_is_read_without_them(tmp_path):
     write_bag(tmp_path / "older.bag", rows)
     make(tmp_path / "older.bag", folder=tmp_path)
     page = read(tmp_path / "report.html")
-    assert "all of the time with a reference was judged" in page.text and "ladder" not in page.ids
+    assert "no /trajectory_phase" in page.text and "ladder" not in page.ids
     for topic in texts:
-        assert topic + " was not read: it is of type std_msgs/String" in page.text
+        assert topic + " was not read" in page.text
 
 
 @pytest.mark.parametrize(
@@ -387,7 +383,7 @@ def test_what_was_not_judged_is_not_said_to_be(tmp_path):
     write_bag(tmp_path / "apart.bag", rows)
     make(tmp_path / "apart.bag", folder=tmp_path)
     page = read(tmp_path / "report.html")
-    assert "the bag is too short" in page.text and "was judged" not in page.text
+    assert "too short" in page.text and "was judged" not in page.text
 
 
 def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
@@ -399,11 +395,9 @@ def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
     (tmp_path / "flight.yaml").write_text("arguments:\nversions:\n")
     make(tmp_path / "end.bag", folder=tmp_path)
     page = read(tmp_path / "report.html")
-    assert "1 gaps of more than 100 ms" in page.text
-    assert "The last frame came 4.9 s before the end of the bag; that is counted as a gap." in page.text
-    assert "they count from the start of the node" in page.text
-    assert "No vehicle left the lowest failsafe level." in page.text and "low on battery" not in page.text
-    assert "where it could have stopped" in next(row for row in page.rows if "nearest to the net" in row)
+    assert "1 gaps" in page.text and "4.9 s before the end" in page.text
+    assert {"gates", "ladder", "fence"} <= set(page.ids) and "low on battery" not in page.text
+    assert not [row for row in page.rows if {"hold", "land"} & set(row)], "no vehicle left the lowest failsafe level"
 
 
 def test_of_many_events_the_page_shows_the_end(tmp_path):
@@ -414,7 +408,7 @@ def test_of_many_events_the_page_shows_the_end(tmp_path):
     page = read(tmp_path / "report.html")
     texts = [row[2] for row in page.rows if row[1:2] == ["operator"]]
     assert len(texts) == 60 and texts[0] == "waiting: 0" and texts[-1] == "result: ok"
-    assert "41 further events are not listed" in page.text
+    assert "41 further" in page.text
 
 
 @pytest.fixture
@@ -434,11 +428,11 @@ def test_command_line(short, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["none.bag"], "none.bag: no such file"),
-        (["{full}/fleet.yaml"], "not a complete ROS 1 bag"),
+        (["none.bag"], "none.bag"),
+        (["{full}/fleet.yaml"], "rosbag reindex"),
         (["{full}/flight.bag", "--fleet", "nowhere.yaml"], "nowhere.yaml"),
         (["{full}/flight.bag", "--out", "{full}/fleet.yaml"], "fleet.yaml"),
-        (["{tmp}/talk.bag"], "holds nothing to report; it has /chatter"),
+        (["{tmp}/talk.bag"], "/chatter"),
     ],
 )
 def test_wrong_use_is_one_clear_line(full, tmp_path, capsys, arguments, message):

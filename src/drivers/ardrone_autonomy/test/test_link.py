@@ -630,7 +630,7 @@ def test_a_vehicle_whose_commands_have_stopped_hovers_and_then_lands():
     bench.run(3.9)
     assert bench.ref & at.Ref.START and bench.sticks == HOVER
     bench.run(0.2)
-    assert not bench.ref & at.Ref.START and "no cmd_vel for 4.0 s: landing" in bench.texts("warn")
+    assert not bench.ref & at.Ref.START and "cmd_vel for 4.0 s" in bench.texts("warn")[-1]
 
 
 def test_without_that_time_out_nobody_is_landed():
@@ -662,7 +662,7 @@ def test_orders_that_came_while_the_driver_stood_still_are_old(bench, duration_s
     bench.run(0.1)
     assert bool(bench.ref & at.Ref.START) == (not deaf)
     assert bench.sticks == (HOVER if deaf else FORWARD)
-    assert bool([text for text in bench.texts("warn") if "suspended for 3.0 s, and the order" in text]) == deaf
+    assert any("refused" in text and "3.0 s" in text for text in bench.texts("warn")) == deaf
     bench.run(0.4)
     bench.order(bench.link.take_off)
     bench.order(bench.link.steer, FORWARD)

@@ -164,7 +164,7 @@ def test_shorter_options_read_zero_behind_their_required_fields():
         assert part.sat_motor4 == 9 and part.gaz_feed_forward == 0.0
     half = Navdata(packet((Tag.MAGNETO, b"\x09" * 6 + struct.pack("<3f", 1.0, 2.0, 3.0)[:-1]))).option(Tag.MAGNETO)
     assert half.mz == 0x0909 and half.magneto_raw == (0.0, 0.0, 0.0)
-    with pytest.raises(NavdataError, match="demo has 36 bytes, at least 40"):
+    with pytest.raises(NavdataError, match="demo .* 36 .* 40"):
         Navdata(packet((Tag.DEMO, full[:32]))).option(Tag.DEMO)
     assert Navdata(packet((Tag.DEMO, full[:36]))).option(Tag.DEMO).ctrl_state == 1000
 

@@ -37,14 +37,14 @@ def test_path_in_a_package():
 @pytest.mark.parametrize(
     ("url", "cause"),
     [
-        ("risc1.yaml", "not a calibration URL"),
-        ("/etc/risc1.yaml", "not a calibration URL"),
-        ("file://relative.yaml", "not a calibration URL"),
-        ("http://example.org/x.yaml", "not a calibration URL"),
-        ("package://sensor_msgs", "not a calibration URL"),
-        ("package:///x.yaml", "not a calibration URL"),
+        ("risc1.yaml", "file:///PATH.yaml"),
+        ("/etc/risc1.yaml", "file:///PATH.yaml"),
+        ("file://relative.yaml", "file:///PATH.yaml"),
+        ("http://example.org/x.yaml", "file:///PATH.yaml"),
+        ("package://sensor_msgs", "file:///PATH.yaml"),
+        ("package:///x.yaml", "file:///PATH.yaml"),
         ("package://no_such_package_anywhere/x.yaml", "no_such_package_anywhere"),
-        ("file:///${HOME}/x.yaml", "only the variables"),
+        ("file:///${HOME}/x.yaml", "{ROS_HOME}"),
     ],
 )
 def test_what_names_no_file_is_refused(url, cause):

@@ -132,7 +132,7 @@ def test_what_is_no_port_is_one_error(url):
 
 def test_a_search_that_finds_no_device_is_no_port_for_now():
     port = make_port(SerialParams(port="hwgrep://no device is called so"))
-    with pytest.raises(OSError, match="no ports found") as found:
+    with pytest.raises(OSError) as found:
         port.open()
     assert found.value.errno == errno.ENODEV
 
@@ -162,7 +162,7 @@ def test_who_connects_from_elsewhere_is_refused(loopback_is_foreign, networks):
         if networks:
             port.open().close()
             return
-        with pytest.raises(OSError, match="no device"):
+        with pytest.raises(ConnectionRefusedError):
             port.open()
         assert client.recv(1) == b""  # hung up
         address = client.getsockname()[0]

@@ -62,8 +62,8 @@ def test_a_wrong_value_is_named(wrong):
 @pytest.mark.parametrize(
     "wrong, cure",
     [
-        ({"camera_name": "my camera"}, "use letters, digits and underscores"),
-        ({"format_mode": 4}, r"set it to 1 .*, 2 \(YUYV\) or 3 \(MJPEG\)"),
+        ({"camera_name": "my camera"}, "letters, digits and underscores"),
+        ({"format_mode": 4}, r"1 .*, 2 \(YUYV\) or 3 \(MJPEG\)"),
     ],
 )
 def test_a_wrong_value_is_told_with_its_cure(wrong, cure):

@@ -68,16 +68,16 @@ def test_an_unreadable_picture_is_told_and_left_out(folder):
     seen = [tuple(next_picture(source)[10, 10]) for _ in range(4)]
     assert seen == [COLOURS[name] for name in "acac"]
     (note,) = source.notes
-    assert "b.png cannot be read" in note
+    assert "b.png" in note
 
 
 def test_folders_without_pictures_are_named(tmp_path):
-    with pytest.raises(SourceError, match="no pictures .* in the folder"):
+    with pytest.raises(SourceError, match="%s$" % tmp_path):
         open_source(settings_for(tmp_path))
     for name in ("a.png", "b.jpg"):
         (tmp_path / name).write_bytes(b"")
     source = open_source(settings_for(tmp_path))
-    with pytest.raises(SourceError, match="none of the pictures in .* can be read"):
+    with pytest.raises(SourceError, match="%s " % tmp_path):
         source.wait()
 
 
@@ -86,7 +86,7 @@ def test_a_folder_that_is_emptied_while_it_plays_is_told(folder):
     source.wait()
     for name in COLOURS:
         (folder / (name + ".png")).unlink()
-    with pytest.raises(SourceError, match="none of the pictures"):
+    with pytest.raises(SourceError, match="%s " % folder):
         source.wait()
 
 
@@ -138,12 +138,12 @@ def test_a_file_that_is_no_video_is_named(tmp_path):
 
 @pytest.mark.parametrize("device", ["/dev/video987", "987", "/nowhere/pictures"])
 def test_a_missing_device_is_named_with_the_cure(device):
-    with pytest.raises(SourceError, match="there is no .*(987|pictures).* plug the camera in, or set"):
+    with pytest.raises(SourceError, match="(987|pictures).* device "):
         open_source(settings_for(device))
 
 
 def test_a_device_that_is_no_camera_is_named():
-    with pytest.raises(SourceError, match="/dev/null cannot be opened as a camera"):
+    with pytest.raises(SourceError, match="/dev/null .*v4l2-ctl --list-devices"):
         open_source(settings_for("/dev/null"))
 
 
@@ -195,7 +195,7 @@ def test_a_camera_is_asked_for_what_the_settings_say(camera_path):
         cv2.CAP_PROP_FPS: 30.0,
     }, "unchanged controls are left alone"
     (note,) = source.notes
-    assert "gives 320 x 240 instead of 640 x 480" in note
+    assert "320 x 240" in note and "640 x 480" in note
     assert next_picture(source).shape == (240, 320, 3)
     source.close()
     assert Capture.made[-1].released
@@ -207,7 +207,7 @@ def test_controls_are_set_when_they_differ_and_refusals_are_told(camera_path):
     asked = Capture.made[-1].asked
     assert (asked[cv2.CAP_PROP_AUTO_EXPOSURE], asked[cv2.CAP_PROP_GAIN]) == (3.0, 5.0)
     assert cv2.CAP_PROP_BRIGHTNESS not in asked
-    assert [note.split(" does ")[1] for note in source.notes] == ["not take sharpness = 7"]
+    assert ["sharpness = 7" in note for note in source.notes] == [True]
     source.notes.clear()
     source.set_controls({"brightness": 12})
     assert asked[cv2.CAP_PROP_BRIGHTNESS] == 12.0 and source.notes == []
@@ -227,14 +227,14 @@ def test_power_line_frequency_goes_to_the_kernel(camera_path):
     assert calls == [(0xC008561C, (0x00980900 + 24, 1))]
     assert source.notes == []
     source.set_controls({"power_line_frequency": 2})
-    assert "does not take power_line_frequency = 2" in source.notes[0]
+    assert "power_line_frequency = 2" in source.notes[0]
 
 
 def test_a_camera_that_is_pulled_out_is_lost(camera_path):
     source = CameraSource(camera_path, CameraSettings(width=320, height=240), Capture)
     for _ in range(3):
         next_picture(source)
-    with pytest.raises(SourceError, match="video0 sends no more pictures"):
+    with pytest.raises(SourceError, match="video0 "):
         source.wait()
 
 
