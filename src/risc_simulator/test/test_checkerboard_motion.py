@@ -87,5 +87,5 @@ def test_it_shows_its_face():
 def test_a_board_that_cannot_be_shown_is_refused():
     # all that its distortion leaves of the picture is a spot
     blind = CameraCalibration.from_intrinsics("keyhole", (16, 12), (20.0, 20.0), (-300.0, 6.0))
-    with pytest.raises(ValueError, match=r"keyhole.*make it smaller"):
+    with pytest.raises(ValueError, match="keyhole"):
         Waving(Camera(blind))

@@ -178,13 +178,13 @@ def test_a_channel_may_mean_several_wires_and_an_end_frees_them():
 @pytest.mark.parametrize(
     "fields, message",
     [
-        ({"fault": "fire"}, "unknown name 'fire' among the faults; known are: .*blackhole"),
-        ({"severity": 1.5}, r"severity must be in \[0, 1\]"),
+        ({"fault": "fire"}, "'fire' .*faults; .*blackhole"),
+        ({"severity": 1.5}, r"severity .*\[0, 1\]"),
         ({"severity": float("nan")}, "severity"),
-        ({"severity": "much"}, "'severity' must be a number"),
-        ({"start_s": float("inf")}, "'start_s' must be finite"),
-        ({"duration_s": -1.0}, "'duration_s' must be a number .*>= 0"),
-        ({"fault": "mocap_blackout", "duration_s": 61.0}, r"duration_s must be in \[0, 60\]"),
+        ({"severity": "much"}, "'severity' .*number"),
+        ({"start_s": float("inf")}, "'start_s' .*finite"),
+        ({"duration_s": -1.0}, "'duration_s' .*>= 0"),
+        ({"fault": "mocap_blackout", "duration_s": 61.0}, r"duration_s .*\[0, 60\]"),
     ],
 )
 def test_impossible_faults_are_refused(fields, message):
@@ -217,24 +217,24 @@ def test_a_fault_is_read_from_the_command_line_and_written_as_there(text, event)
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "fault '' has no name: write NAME"),
-        (":0.3", "has no name"),
-        ("fire:1", "unknown name 'fire' among the faults"),
-        ("jump:much!", "'much!' is not a number: write NAME"),
-        ("jump:0.3s", "'0.3s' is not a number"),
-        ("jump:9", r"severity must be in \[0, 5\], found 9"),
-        ("jump:0.3,0.4", "'severity' is there twice"),
-        ("jump:risc1,risc2", "'vehicle' is there twice"),
-        ("jump:0.3,height=2", "no 'height'; there are severity, duration_s, vehicle, channel, program"),
-        ("jump:program=controller", "acts on no program: leave 'controller' out"),
+        ("", "fault '' .* NAME"),
+        (":0.3", ":0.3.* NAME"),
+        ("fire:1", "'fire' .*faults"),
+        ("jump:much!", "'much!' .*number.* NAME"),
+        ("jump:0.3s", "'0.3s' .*number"),
+        ("jump:9", r"severity .*\[0, 5\], found 9"),
+        ("jump:0.3,0.4", "'severity' .*twice"),
+        ("jump:risc1,risc2", "'vehicle' .*twice"),
+        ("jump:0.3,height=2", "'height'; .* severity, duration_s, vehicle, channel, program"),
+        ("jump:program=controller", "no program.* 'controller' "),
         ("node_kill", "node_kill: which program"),
         ("node_stop:3", "node_stop: which program"),
-        ("node_kill:controller,risc1,risc2", "'vehicle' is there twice"),
-        ("node_kill:controller,3", r"duration_s must be in \[0, 0\], found 3"),
+        ("node_kill:controller,risc1,risc2", "'vehicle' .*twice"),
+        ("node_kill:controller,3", r"duration_s .*\[0, 0\], found 3"),
         ("jump:duration_s=-1", "duration_s"),
-        ("jump@soon", "'soon' is not a number"),
-        ("jump@", "'' is not a number"),
-        ("jump@nan", "'start_s' must be finite"),
+        ("jump@soon", "'soon' .*number"),
+        ("jump@", "'' .*number"),
+        ("jump@nan", "'start_s' .*finite"),
     ],
 )
 def test_a_fault_that_is_misspelt_is_refused(text, message):
@@ -245,7 +245,7 @@ def test_a_fault_that_is_misspelt_is_refused(text, message):
 def test_unknown_channels_are_refused_by_name():
     wires = Wires()
     wires.wire("risc1/navdata")
-    with pytest.raises(ValueError, match="no channel 'risc1/nav'; known are: risc1/navdata"):
+    with pytest.raises(ValueError, match="'risc1/nav'; .* risc1/navdata"):
         wires.add(FaultEvent("drop", channel="risc1/nav", severity=0.1))
 
 
@@ -266,7 +266,7 @@ def test_a_file_of_faults(tmp_path):
         ("faults: [{fault: drop, channel: '*', strength: 1}]", "strength"),
         ("{faults: [], seed: -1}", "seed"),
         ("{faults: [], seed: 1.5}", "seed"),
-        ("seed: 7", "'faults' is missing"),
+        ("seed: 7", "'faults'"),
     ):
         path.write_text(content)
         with pytest.raises(ValueError, match=named):
@@ -429,10 +429,10 @@ def test_a_fault_acts_where_it_makes_sense():
     wires = Wires()
     datagrams, stream = wires.wire("risc1/navdata"), wires.stream("risc1/video")
     for fault in ("drop", "duplicate", "reorder", "corrupt", "truncate", "wrong_reply"):
-        with pytest.raises(ValueError, match="fault %s acts on datagrams; risc1/video: streams" % fault):
+        with pytest.raises(ValueError, match="%s .* datagrams; risc1/video: streams" % fault):
             wires.add(FaultEvent(fault, channel="risc1/video", severity=0.5))
         wires.add(FaultEvent(fault, channel="risc1/*", severity=0.5))
-    with pytest.raises(ValueError, match="fault cut acts on streams; risc1/navdata: datagrams"):
+    with pytest.raises(ValueError, match="cut .* streams; risc1/navdata: datagrams"):
         wires.add(FaultEvent("cut", channel="risc1/navdata"))
     wires.add(FaultEvent("cut", channel="risc1/*"))
     wires.add(FaultEvent("blackhole", channel="risc1/*"))

@@ -128,13 +128,13 @@ def test_a_star_means_each_vehicle():
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("jump:risc9", "no vehicle 'risc9'; known are: risc1, risc2, risc3"),
-        ("wind:risc9", "no vehicle 'risc9'"),
-        ("wind:channel=risc1/commands", "fault wind acts on no channel"),
-        ("jump:channel=cortex/stream", "fault jump acts on frames; cortex/stream: datagrams"),
-        ("drop:risc1", "fault drop is not one vehicle's"),
-        ("drop:channel=risc9/*", r"no channel 'risc9/\*'; known are: cortex/frames"),
-        ("wrong_reply", "no channel 'cortex/replies'"),
+        ("jump:risc9", "'risc9'; .* risc1, risc2, risc3"),
+        ("wind:risc9", "vehicle 'risc9'"),
+        ("wind:channel=risc1/commands", "wind .* no channel"),
+        ("jump:channel=cortex/stream", "jump .* frames; cortex/stream: datagrams"),
+        ("drop:risc1", "drop .*vehicle"),
+        ("drop:channel=risc9/*", r"'risc9/\*'; .* cortex/frames"),
+        ("wrong_reply", "channel 'cortex/replies'"),
     ],
 )
 def test_what_cannot_happen_is_refused_and_leaves_no_trace(text, message):

@@ -287,7 +287,7 @@ def test_its_parameters_say_what_its_sensors_read(hands):
 
 @pytest.mark.parametrize("changes", [{"tilt_max_rad": 0.1}, {"climb_max_m_s": 0.2}, {"yaw_rate_max_rad_s": 7.0}])
 def test_full_scales_that_arducopter_has_not_are_refused_by_name(changes):
-    with pytest.raises(ValueError, match="vehicle type 'iris': tilt_max_rad, .*ArduCopter"):
+    with pytest.raises(ValueError, match="'iris': tilt_max_rad, .*ArduCopter"):
         make_world(changes=changes)
 
 

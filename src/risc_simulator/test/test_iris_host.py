@@ -333,10 +333,10 @@ def test_two_vehicles_have_nothing_in_common(clock):
 def test_an_address_in_use_and_a_firmware_that_is_not_built_are_errors_that_name_the_cure(station, monkeypatch):
     mocap = dataclasses.replace(station.lab.fleet.mocap, host=own_net() + ".0.3")
     fleet = dataclasses.replace(station.lab.fleet, mocap=mocap)
-    with pytest.raises(OSError, match="iris1: cannot use udp .*14550: in use. Stop the other virtual lab"):
+    with pytest.raises(OSError, match="iris1: .* udp .*14550: in use"):
         VirtualLab(fleet)
     monkeypatch.setattr(transmitter, "LIBRARY", "libdueppm_elsewhere.so")
-    with pytest.raises(OSError, match="not built.*maap build"):
+    with pytest.raises(OSError, match="./maap build"):
         VirtualLab(fleet)
 
 

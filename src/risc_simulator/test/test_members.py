@@ -280,7 +280,7 @@ def test_a_fleet_with_a_body_survives_its_file_and_two_of_one_name_are_refused()
     fleet = make_fleet(dict(ARDRONE, attached=SPRING))
     assert fleet.vehicles[0].attached == AttachedBody("toy_spring", "ball")
     assert fleet_from_dict(fleet.to_dict()) == fleet
-    with pytest.raises(ValueError, match="two vehicles or attached bodies have the same template: fluffy_II"):
+    with pytest.raises(ValueError, match="same template: fluffy_II"):
         make_fleet(dict(ARDRONE, attached={"body": "toy_spring", "template": "fluffy_II"}))
 
 
@@ -291,5 +291,5 @@ def test_a_body_with_a_number_that_is_missing_is_refused(monkeypatch, tmp_path):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     with pytest.raises(ValueError, match="half.*length_m"):
         bodies.load_body("half")
-    with pytest.raises(ValueError, match="unknown name 'anvil' among the bodies"):
+    with pytest.raises(ValueError, match="'anvil' .*bodies"):
         make_world(dict(ARDRONE, attached={"body": "anvil", "template": "ball"}))

@@ -62,20 +62,20 @@ def test_hulls_differ_from_each_other_and_in_front_from_behind():
 @pytest.mark.parametrize(
     "path, value, message",
     [
-        ("paints.green", [300, 0, 0], "'paints.green[0]' must be a number < 180"),
-        ("paints.green", [1, 2], "'paints.green' must be a list of length 3"),
-        ("disc_backs", None, "'disc_backs' is missing"),
-        ("hulls.colours", {}, "needs one hull at least"),
-        ("hulls.colours.red_yellow.wing", [0, 0, 0], "unknown key(s) wing"),
-        ("room.tile_m", None, "'room.tile_m' is missing"),
-        ("room.marks", 2.5, "'room.marks' must be a whole number"),
-        ("room.walls.front", None, "'room.walls.front' is missing"),
-        ("room.panels.0.surface", "roof", "'room.panels[0].surface' must be one of front, back, left, right, floor"),
-        ("room.panels.0.size_m", [0.0, 1.0], "'room.panels[0].size_m[0]' must be a number > 0"),
-        ("imaging.exposure_s", -1.0, "'imaging.exposure_s' must be a number >= 0"),
-        ("imaging.shutter", 1.0, "unknown key(s) shutter"),
-        ("boards.margin_squares", True, "'boards.margin_squares' must be a number"),
-        ("lights", {}, "unknown key(s) lights"),
+        ("paints.green", [300, 0, 0], r"'paints.green\[0\]' .* < 180"),
+        ("paints.green", [1, 2], "'paints.green' .*length 3"),
+        ("disc_backs", None, "'disc_backs' .*missing"),
+        ("hulls.colours", {}, "hull"),
+        ("hulls.colours.red_yellow.wing", [0, 0, 0], " wing; "),
+        ("room.tile_m", None, "'room.tile_m' .*missing"),
+        ("room.marks", 2.5, "'room.marks' .*whole number"),
+        ("room.walls.front", None, "'room.walls.front' .*missing"),
+        ("room.panels.0.surface", "roof", r"'room.panels\[0\].surface' .* front, back, left, right, floor"),
+        ("room.panels.0.size_m", [0.0, 1.0], r"'room.panels\[0\].size_m\[0\]' .* > 0"),
+        ("imaging.exposure_s", -1.0, "'imaging.exposure_s' .* >= 0"),
+        ("imaging.shutter", 1.0, " shutter; "),
+        ("boards.margin_squares", True, "'boards.margin_squares' .*number"),
+        ("lights", {}, " lights; "),
     ],
 )
 def test_every_mistake_in_the_file_is_named(content, path, value, message):
@@ -88,20 +88,19 @@ def test_every_mistake_in_the_file_is_named(content, path, value, message):
         del place[keys[-1]]
     else:
         place[keys[-1]] = value
-    with pytest.raises(ValueError) as error:
+    with pytest.raises(ValueError, match="file.yaml.*" + message):
         settings_from(Style, broken, "file.yaml")
-    assert message in str(error.value) and "file.yaml" in str(error.value)
 
 
 def test_a_room_within_the_net_is_refused(content, tmp_path):
     file = tmp_path / "scene.yaml"
     file.write_text(yaml.safe_dump({**content, "room": {**content["room"], "half_x_m": 1.0}}))
-    with pytest.raises(ValueError, match="scene.yaml: the room is smaller than the net: make half_x_m 2.49"):
+    with pytest.raises(ValueError, match="scene.yaml: .*half_x_m 2.49"):
         load_style(file)
 
 
 def test_missing_file_is_one_error(tmp_path):
-    with pytest.raises(ValueError, match="cannot read .*none.yaml"):
+    with pytest.raises(ValueError, match="none.yaml"):
         load_style(tmp_path / "none.yaml")
 
 
@@ -160,15 +159,15 @@ def test_hull_by_order_and_by_number():
 
 
 def test_a_landmark_or_paint_that_is_not_known_is_named(content):
-    with pytest.raises(ValueError, match="landmark Red_white is not known"):
+    with pytest.raises(ValueError, match="Red_white"):
         load_style().disc("Red_white", (0, 0, 1), (1, 0, 0))
     paints = {name: hsv for name, hsv in content["paints"].items() if name != "pink"}
-    with pytest.raises(ValueError, match="Green_pink: 'ring' is 'pink', which is not among the paints"):
+    with pytest.raises(ValueError, match="Green_pink: 'ring' .*'pink'"):
         settings_from(Style, dict(content, paints=paints)).disc("Green_pink", (0, 0, 1), (1, 0, 0))
 
 
 def test_imaging_out_of_range_is_named():
-    with pytest.raises(ValueError, match="'defocus_px' must be a number >= 0"):
+    with pytest.raises(ValueError, match="'defocus_px' .* >= 0"):
         replace(load_style().imaging, defocus_px=-1.0)
 
 

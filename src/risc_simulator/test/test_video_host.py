@@ -323,7 +323,7 @@ def test_a_second_watcher_joins_in_the_middle(shared_lab, shared_client):
 
 @pytest.mark.parametrize("brightness", [-0.1, 11.0, float("nan")])
 def test_impossible_light_is_refused(shared_lab, brightness):
-    with pytest.raises(ValueError, match="from 0 to 10"):
+    with pytest.raises(ValueError, match="0 to 10"):
         shared_lab.set_light(brightness)
 
 

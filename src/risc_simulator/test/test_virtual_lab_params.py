@@ -29,11 +29,11 @@ def test_texts_and_numbers_arrive_over_the_defaults(load_options):
 @pytest.mark.parametrize("value", [127.8, 127])
 def test_a_number_for_a_subnet_is_refused_with_the_cure(load_options, value):
     """roscore keeps 127.8 of a command line's 127.80, another network: guessing would be wrong silently."""
-    with pytest.raises(ValueError, match="~subnet must be a text, found .*quote it twice.*_subnet:="):
+    with pytest.raises(ValueError, match="~subnet .*text, found .*_subnet:="):
         load_options(subnet=value)
 
 
 @pytest.mark.parametrize("key, value", [("seed", "7"), ("ideal", 1), ("radio_loss", True), ("stats", 5)])
 def test_wrong_types_name_the_key(load_options, key, value):
-    with pytest.raises(ValueError, match="'%s' must be" % key):
+    with pytest.raises(ValueError, match="'%s'" % key):
         load_options(**{key: value})

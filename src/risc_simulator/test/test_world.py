@@ -608,13 +608,13 @@ def test_errors_name_cause_and_cure():
         world.vehicles["risc1"].schedule(float("inf"), FlightAction.LAND)
     with pytest.raises(ValueError, match="outside the net"):
         world.vehicles["risc1"].fly_at((5, 0, 1))
-    with pytest.raises(ValueError, match="no mocap template 'fluffy_II'; known are"):
+    with pytest.raises(ValueError, match="template 'fluffy_II'; "):
         World(make_fleet(), TYPES, {})
-    with pytest.raises(ValueError, match="unknown name 'submarine' among the virtual_vehicles; known are: ardrone"):
+    with pytest.raises(ValueError, match="'submarine' .*virtual_vehicles; .* ardrone"):
         World(make_fleet(), {"ardrone": dataclasses.replace(TYPES["ardrone"], name="submarine")}, TEMPLATES)
     with pytest.raises(ValueError, match="step_s"):
         make_world(step_s=0.1)
     fleet = make_fleet()
     outside = dataclasses.replace(fleet.vehicles[0], start=Start((0.0, 2.5, 0.0)))
-    with pytest.raises(ValueError, match="risc1 starts outside the net"):
+    with pytest.raises(ValueError, match="risc1 .*net"):
         World(dataclasses.replace(fleet, vehicles=(outside,)), TYPES, TEMPLATES)
