@@ -160,7 +160,9 @@ TEST_F(Sources, AnUnknownOneIsRefusedWithTheNamesOfThoseThatAreKnown) {
     const MocapPublisher publisher(node_, parameters);
     FAIL() << "accepted";
   } catch (const std::invalid_argument& error) {
-    EXPECT_STREQ(error.what(), "parameter source is 'sundial'; must be one of: cortex, toy");
+    for (const char* fact : {"source", "'sundial'", "cortex, toy"}) {
+      EXPECT_NE(std::string(error.what()).find(fact), std::string::npos) << error.what();
+    }
   }
 }
 

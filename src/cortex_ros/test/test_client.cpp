@@ -349,7 +349,7 @@ TEST_F(ClientTest, OnlyCortexIsTakenByDiscovery) {
   o.local_address = "127.0.0.1";
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return !client.events().problems().empty(); }));
-  EXPECT_NE(client.events().problems()[0].find("is not Cortex (program number 7)"), std::string::npos);
+  EXPECT_NE(client.events().problems()[0].find("number 7"), std::string::npos);
   EXPECT_GT(client.count("foreign datagrams"), 0u);
   EXPECT_TRUE(client.events().ups().empty());
   stranger->change([](FakeHost::Behaviour& b) { b.program = 1; });
@@ -375,8 +375,9 @@ TEST_F(ClientTest, ASecondHostThatAnswersTheSearchIsPointedOut) {
   UdpSocket second({resolve(elsewhere), 0}, UdpSocket::Share::kNo);
   second.send(encode(HereIAm{{"Cortex", {1, 5, 3, 1}}}), first->client());
   ASSERT_TRUE(wait_until([&] { return !client.events().problems().empty(); }));
-  EXPECT_NE(client.events().problems()[0].find("more than one Cortex host"), std::string::npos);
-  EXPECT_NE(client.events().problems()[0].find(elsewhere), std::string::npos);
+  for (const std::string& fact : {std::string("127.0.0.1"), elsewhere, std::string("'host'")}) {
+    EXPECT_NE(client.events().problems()[0].find(fact), std::string::npos) << fact;
+  }
   EXPECT_EQ(client.events().ups().size(), 1u);
 }
 
@@ -592,8 +593,7 @@ TEST_F(ClientTest, AHostThatAnswersFromAnotherAddressIsPointedOut) {
     }
     return !client.events().problems().empty();
   }));
-  EXPECT_NE(client.events().problems()[0].find("set the parameter 'host' to " + elsewhere),
-            std::string::npos);
+  EXPECT_NE(client.events().problems()[0].find("'host' to " + elsewhere), std::string::npos);
   EXPECT_TRUE(client.events().ups().empty());
 }
 
@@ -777,7 +777,7 @@ TEST_F(ClientTest, ATakenStreamPortIsExplainedAndPollingGoesOn) {
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 3; }));
   ASSERT_EQ(client.events().problems().size(), 1u);
-  EXPECT_NE(client.events().problems()[0].find("end the program that holds the port"), std::string::npos);
+  EXPECT_NE(client.events().problems()[0].find(std::to_string(stream_port_)), std::string::npos);
   EXPECT_EQ(client.status().mode, "poll");
 }
 
@@ -805,8 +805,8 @@ TEST_F(ClientTest, AnOwnAddressThatIsMissingIsReportedAndTriedAgain) {
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
   const std::string problem = client.events().problems().at(0);
-  EXPECT_NE(problem.find("cannot bind UDP 192.0.2.77"), std::string::npos) << problem;
-  EXPECT_NE(problem.find("correct 'local_address'"), std::string::npos) << problem;
+  EXPECT_NE(problem.find("192.0.2.77"), std::string::npos) << problem;
+  EXPECT_NE(problem.find("'local_address'"), std::string::npos) << problem;
   EXPECT_NE(client.events().downs()[0].find("192.0.2.77"), std::string::npos);
   EXPECT_NE(client.status().why_down.find("192.0.2.77"), std::string::npos);
   EXPECT_FALSE(client.status().up);
@@ -826,7 +826,7 @@ TEST_F(ClientTest, ANameThatDoesNotResolveIsReportedAndTriedAgain) {
   o.host = "cortex.invalid";  // RFC 2606: never resolves
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
-  EXPECT_NE(client.events().problems().at(0).find("cannot resolve 'cortex.invalid'"), std::string::npos);
+  EXPECT_NE(client.events().problems().at(0).find("cortex.invalid"), std::string::npos);
   EXPECT_EQ(client.status().host, "cortex.invalid:" + std::to_string(o.command_port));
 }
 

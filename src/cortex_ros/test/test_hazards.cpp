@@ -273,7 +273,7 @@ TEST(Optional, ItemLengthsAreChecked) {
     EXPECT_EQ(frame.bodies.at(0).markers.size(), 1u) << "the bodies are kept";
     EXPECT_TRUE(frame.delay_s.has_value());
     ASSERT_EQ(frame.faults.size(), 1u);
-    EXPECT_NE(frame.faults[0].find("item with tag 777: length " + std::to_string(length)), std::string::npos);
+    EXPECT_NE(frame.faults[0].find("777: length " + std::to_string(length)), std::string::npos);
   }
   const FrameOfData cut = decode_frame(one_body_frame().i32(777).fill(3, 0).bytes());
   EXPECT_EQ(cut.faults.size(), 1u);

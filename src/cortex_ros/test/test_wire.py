@@ -180,7 +180,7 @@ def test_fast_encoder_refuses_what_does_not_fit():
         encoder.encode(1, np.zeros((5000, 3)), np.zeros((room + 1, 3)))
     with pytest.raises(ValueError, match="101 bodies"):
         wire.FrameEncoder([("b", 0)] * 101)
-    with pytest.raises(ValueError, match="5000 markers, got 1"):
+    with pytest.raises(ValueError, match="5000 .* 1"):
         encoder.encode(1, np.zeros((1, 3)))
 
 
@@ -198,9 +198,9 @@ def test_fifty_bodies_fit():
 
 @pytest.mark.parametrize("name", ["x" * 128, "a\0b", "\u00e9" * 64])
 def test_bad_names_are_refused(name):
-    with pytest.raises(ValueError, match="name on the wire"):
+    with pytest.raises(ValueError, match="at most 127 bytes"):
         wire.FrameEncoder([(name, 1)])
-    with pytest.raises(ValueError, match="name on the wire"):
+    with pytest.raises(ValueError, match="at most 127 bytes"):
         wire.encode_identity(Command.HELLO_WORLD, wire.Identity(name, (1, 0, 0, 0)))
 
 
