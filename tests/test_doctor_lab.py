@@ -100,11 +100,11 @@ def arguments(fleet, folder, *words):
 
 
 def sorted_out(printed):
-    """{(check, level): "text -> cure"; ...} of the doctor's JSON."""
+    """{(check, level): "code: text -> cure"; ...} of the doctor's JSON."""
     found = {}
     for item in json.loads(printed):
         key = item["check"], item["level"]
-        found[key] = found.get(key, "") + "%(text)s -> %(cure)s\n" % item
+        found[key] = found.get(key, "") + "%(code)s: %(text)s -> %(cure)s\n" % item
     return found
 
 
@@ -177,7 +177,7 @@ def host_of(world, mocap):
     ("matrix", "words"),
     [
         (np.eye(3), []),
-        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], ["+x (forward) is seen as +y", "left-handed"]),
+        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], ["+x (forward) is seen as +y", "left_handed"]),
     ],
 )
 def test_moved_by_hand(matrix, words):
@@ -196,9 +196,9 @@ def test_moved_by_hand(matrix, words):
     assert len(prompts) == 6 and "to the left (+y)" in prompts[3]
     assert exit_code(findings) == bool(words)
     assert words or [finding.level for finding in findings] == [GREEN] * 3, findings
-    told = "\n".join(finding.text for finding in findings)
+    told = "\n".join("%s: %s" % (finding.code, finding.text) for finding in findings)
     assert all(word in told for word in words), told
-    assert exit_code(unseen) == 1 and "shows no 'albatross'" in unseen[0].text
+    assert exit_code(unseen) == 1 and "'albatross'" in unseen[0].text
 
 
 # ---------------------------------------------------------------- a graph
@@ -270,19 +270,17 @@ def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, mo
                 after, code = doctor_process(None, tmp_path, "--only", "ros,graph")
         finally:
             launch.stop()
-    assert "risc1 (%s) answers (by its driver)" % fleet.vehicles[0].address in found["vehicles", GREEN]
-    assert (
-        "not asked, as ardrone_driver" in apart["vehicles", YELLOW]
-        and "127.0.0.1:%d" % port in apart["vehicles", YELLOW]
-    )
-    assert "frames come at" in "".join(found.values()), "the stream is shared with stream_markers"
+    assert "battery: risc1 (%s)" % fleet.vehicles[0].address in found["vehicles", GREEN]
+    assert re.search("not_asked: .* ardrone_driver .*127.0.0.1:%d" % port, apart["vehicles", YELLOW])
+    assert re.search(r"rate\w*: frames", "".join(found.values())), "the stream is shared with stream_markers"
     assert levels(found, "ports") == {GREEN}, found
     assert ("graph", GREEN) in found or ("graph", YELLOW) in found, found
-    assert "/mocap_data comes at" in "".join(found.values()) and "/cortex_raw comes at" in "".join(found.values())
+    for topic in ("/mocap_data", "/cortex_raw"):
+        assert re.search("(rate|slow): %s " % topic, "".join(found.values()))
     assert "/cortex_raw" in "".join(text for (check, _), text in found.items() if check == "clock"), found
-    assert "the master at http://127.0.0.1:%d answers" % port in found["ros", GREEN]
-    assert code == 1 and "nothing comes on /mocap_data, although /stream_markers publishes it" in after["graph", RED]
-    assert re.search("not answering: .*/stream_markers.* -> rosnode cleanup", after["ros", YELLOW]), after
+    assert "http://127.0.0.1:%d" % port in found["ros", GREEN]
+    assert code == 1 and re.search("silent: .* /mocap_data,.* /stream_markers ", after["graph", RED])
+    assert re.search("dead_nodes: .*/stream_markers.* -> rosnode cleanup", after["ros", YELLOW]), after
 
 
 @contextlib.contextmanager
@@ -324,9 +322,9 @@ def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
     assert code == 0 and not [key for key in found if key[1] == RED], found
     for check in good:
         assert levels(found, check) == {GREEN}, found
-    assert "frames come at" in found["cortex", GREEN] or "frames come at" in found["cortex", YELLOW]
+    assert "rate: frames" in found["cortex", GREEN] or "rate_" in found["cortex", YELLOW]
     assert found["vehicles", GREEN].count("asked directly") == 3
-    assert found["axes", GREEN].count("plausible: fluffy_II, albatross, Raven") == 1
+    assert re.search("plausible: .* fluffy_II, albatross, Raven", found["axes", GREEN])
 
 
 @pytest.mark.alone
@@ -343,8 +341,8 @@ def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
     found, code = doctor(lab.fleet, tmp_path, "--only", "vehicles")
     lab.do(mend)
     assert code == 1 and "risc1" in found["vehicles", GREEN]
-    assert re.search("risc2 .* battery [89] %: it would land at once", found["vehicles", RED])
-    assert "risc3 (%s) does not answer: no telemetry" % lab.fleet.vehicles[2].address in found["vehicles", RED]
+    assert re.search("battery_low: risc2 .* [89] %", found["vehicles", RED])
+    assert "risc3 (%s) " % lab.fleet.vehicles[2].address in found["vehicles", RED]
     assert "charge" in found["vehicles", RED]
 
 
@@ -358,20 +356,20 @@ def test_what_is_wrong_with_motion_capture(lab, no_master, tmp_path):
         vehicles=(strange, *lab.fleet.vehicles[1:]),
     )
     found, code = doctor(other, tmp_path, *only)
-    assert code == 1 and "the fleet expects 100 Hz" in found["cortex", YELLOW]
-    assert "rename 'fluffy_II' in Cortex to 'Fluffy_II'" in found["templates", RED]
+    assert code == 1 and re.search("rate_wrong: .* 100 Hz", found["cortex", YELLOW])
+    assert re.search("misspelt: .*'fluffy_II' .*'Fluffy_II'", found["templates", RED])
 
     lab.do(lambda the_lab: the_lab.cortex_host.set_live(False))
     found, _ = doctor(lab.fleet, tmp_path, *only)
-    assert "not in live mode -> stream_markers asks" in found["cortex", YELLOW] and levels(found, "axes") == {YELLOW}
+    assert "not_live: " in found["cortex", YELLOW] and levels(found, "axes") == {YELLOW}
     found, _ = doctor(lab.fleet, tmp_path, "--live", "--only", "cortex")
-    assert "frames come at" in "".join(found.values()), "it was asked to go live"
+    assert re.search(r"rate\w*: frames", "".join(found.values())), "it was asked to go live"
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
         thief.bind(("", lab.fleet.mocap.stream_port))
         found, code = doctor_process(lab.fleet, tmp_path, *only)
-    assert code == 1 and "taken by" in found["ports", RED] and "pid %d" % os.getpid() in found["ports", RED]
-    assert "live, but its stream does not come" in found["cortex", YELLOW]
+    assert code == 1 and "stream_taken: " in found["ports", RED] and "pid %d" % os.getpid() in found["ports", RED]
+    assert "no_stream: " in found["cortex", YELLOW]
 
 
 def test_without_a_lab_nothing_flies_and_a_wrong_address_is_told(no_master, monkeypatch, tmp_path):
@@ -379,7 +377,7 @@ def test_without_a_lab_nothing_flies_and_a_wrong_address_is_told(no_master, monk
     with reserved_fleet() as fleet:
         found, code = doctor(fleet, tmp_path)
     assert code == 1
-    assert "no answer from Cortex at %s" % fleet.mocap.host in found["cortex", RED]
-    assert found["vehicles", RED].count("does not answer") == 3
+    assert fleet.mocap.host in found["cortex", RED]
+    assert found["vehicles", RED].count("silent: ") + found["vehicles", RED].count("no_lab: ") == 3
     assert {levels(found, check) == {YELLOW} for check in ("templates", "axes")} == {True}
-    assert "ROS_IP is 203.0.113.7, which is no address of this computer" in found["ros", RED]
+    assert "not_own: ROS_IP is 203.0.113.7" in found["ros", RED]

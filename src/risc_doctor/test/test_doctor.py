@@ -7,6 +7,7 @@ import ipaddress
 import json
 import os
 import pathlib
+import re
 import select
 import shutil
 import socket
@@ -76,7 +77,7 @@ def levels(findings):
 
 
 def text_of(findings, level):
-    return "\n".join("%s -> %s" % (f.text, f.cure) for f in findings if f.level == level)
+    return "\n".join("%s: %s -> %s" % (f.code, f.text, f.cure) for f in findings if f.level == level)
 
 
 # ---------------------------------------------------------------- network
@@ -84,18 +85,18 @@ def text_of(findings, level):
 
 def test_a_laptop_in_both_networks_is_well():
     findings = network.judge(LAB, [LO, CABLE, WIFI], False, lambda address: None)
-    assert worst(findings) == GREEN and "eth0 (own address 129.123.5.240)" in text_of(findings, GREEN)
+    assert worst(findings) == GREEN and "129.123.5.240" in text_of(findings, GREEN)
 
 
 def test_what_is_wrong_with_the_network_is_named():
     nowhere = network.judge(LAB, [LO, WIFI], False, lambda address: None)
-    assert "no route to the Cortex host 129.123.5.10" in text_of(nowhere, RED)
+    assert re.search("no_way: .* 129.123.5.10 ", text_of(nowhere, RED))
     routed = network.judge(LAB, [LO, WIFI], False, lambda address: "192.168.1.2")
-    assert worst(routed) == YELLOW and "through a router" in text_of(routed, YELLOW)
+    assert worst(routed) == YELLOW and "routed_host: " in text_of(routed, YELLOW)
     unplugged = network.judge(LAB, [LO, replace(CABLE, connected=False)], False, lambda address: None)
-    assert "eth0 has an address, but no cable" in text_of(unplugged, YELLOW)
+    assert "unplugged: eth0 " in text_of(unplugged, YELLOW)
     assert "ip link set lo up" in text_of(network.judge(LAB, [CABLE, WIFI], False, lambda address: None), RED)
-    assert "no network card" in text_of(network.judge(LAB, [LO], False, lambda address: None), RED)
+    assert "no_card: " in text_of(network.judge(LAB, [LO], False, lambda address: None), RED)
     elsewhere = replace(LAB, mocap=replace(LAB.mocap, interface="129.123.5.7"))
     assert "129.123.5.7" in text_of(network.judge(elsewhere, [LO, CABLE], False, lambda address: None), RED)
 
@@ -103,21 +104,20 @@ def test_what_is_wrong_with_the_network_is_named():
 def test_two_cards_in_one_network_are_told():
     assert levels(network.judge_subnets([LO, CABLE, WIFI], ["192.168.1.1"])) == [GREEN]
     (twice,) = network.judge_subnets([LO, CABLE, card("wlan1", "129.123.5.99/24")], ["192.168.1.1"])
-    assert twice.level == YELLOW and "eth0 and wlan1 are in the same network 129.123.5.0/24" in twice.text
+    assert twice.level == YELLOW and "eth0 and wlan1 " in twice.text and "129.123.5.0/24" in twice.text
     assert "ip link set wlan1 down" in twice.cure and "vehicle" not in twice.text + twice.cure
     # a laboratory with the numbers of the vehicle's own Wi-Fi
     (clash,) = network.judge_subnets([card("eth0", "192.168.1.11/24"), WIFI], ["192.168.1.1"])
-    assert clash.level == YELLOW and "what is meant for the vehicle at 192.168.1.1 may leave" in clash.text
-    assert "give the laboratory another network" in clash.cure
+    assert clash.level == YELLOW and clash.code == "shared_with_vehicle" and "192.168.1.1 " in clash.text
 
 
 def test_vehicles_of_one_network_must_be_reachable():
     vehicles = tuple(replace(vehicle, address="192.168.1.%d" % k) for k, vehicle in enumerate(LAB.vehicles, 1))
     shared = replace(LAB, own_networks=False, vehicles=vehicles)
     findings = network.judge(shared, [LO, CABLE], False, lambda address: None)
-    assert "no route to vehicle 192.168.1.1" in text_of(findings, RED)
+    assert "vehicle 192.168.1.1" in text_of(findings, RED)
     routed = text_of(network.judge(shared, [LO, CABLE], False, lambda address: "129.123.5.240"), YELLOW)
-    assert "vehicle 192.168.1.1 is not in any" in routed and "join the vehicle's Wi-Fi" in routed
+    assert "routed_vehicle: vehicle 192.168.1.1 " in routed
     assert "multicast" not in routed, "nothing of a vehicle is multicast"
 
 
@@ -131,7 +131,7 @@ def test_multicast_that_the_kernel_would_drop(monkeypatch):
     assert network.join_error("225.1.1.1", "203.0.113.7")  # an address that no computer has
     monkeypatch.setattr(network.net, "source_towards", lambda address: None)
     lost = network.check_multicast(types.SimpleNamespace(fleet=LAB, interfaces=lambda: [LO]))
-    assert "give this computer an address in that network" in text_of(lost, RED)
+    assert "no_way: " in text_of(lost, RED)
 
 
 def test_this_computers_cards_are_read():
@@ -188,7 +188,7 @@ def test_the_folder_of_bags_is_made_by_the_recorder(tmp_path):
     situation = types.SimpleNamespace(bag_folder=tmp_path / "flights", fleet=LAB, master=None)
     assert worst(disk.check(situation)) != RED
     situation.bag_folder = tmp_path / "no" / "such"
-    assert "does not exist" in text_of(disk.check(situation), RED)
+    assert "mkdir -p %s," % situation.bag_folder.parent in text_of(disk.check(situation), RED)
 
 
 def test_what_only_root_may_is_told(tmp_path):
@@ -201,7 +201,7 @@ def test_what_only_root_may_is_told(tmp_path):
     if first > 1001:
         assert port.level == YELLOW and "ip_unprivileged_port_start=1001" in port.cure
     assert device.level == RED and "usermod -aG input" in device.cure
-    assert worst(folder) == RED and "/usr cannot be written" in text_of(folder, RED)
+    assert worst(folder) == RED and "forbidden: /usr " in text_of(folder, RED)
 
 
 def test_a_descriptor_that_is_closed_meanwhile_hides_no_other():
@@ -260,12 +260,11 @@ def test_unknown_missing_misspelt_and_miscounted_bodies():
     bodies = announced(["Fluffy II", "albatross", "Wand"]) + [BodyDef("Raven", ("M1", "M2", "M3"))]
     findings = cortex.judge_templates(VIRTUAL, TEMPLATES, bodies)
     bad, odd = text_of(findings, RED), text_of(findings, YELLOW)
-    assert "rename 'Fluffy II' in Cortex to 'fluffy_II'" in bad
-    assert "'Raven' has 3 markers in Cortex and 4 in templates.yaml" in bad
-    assert "Cortex shows 'Wand'" in odd and "landmark 'Blue_green'" in odd
+    assert re.search("misspelt: .*'Fluffy II' .*'fluffy_II'", bad) and re.search("'Raven' .* 3 .* 4 ", bad)
+    assert re.search("ignored: .*'Wand'", odd) and "landmark 'Blue_green'" in odd
     missing = {name: template for name, template in TEMPLATES.items() if name != "Raven"}
     findings = cortex.judge_templates(VIRTUAL, missing, announced(EVERYTHING))
-    assert "'Raven' of risc3 is not in templates.yaml" in text_of(findings, RED)
+    assert re.search("not_ours: .*'Raven' of risc3", text_of(findings, RED))
 
 
 # ---------------------------------------------------------------- axes
@@ -292,30 +291,30 @@ def test_a_vehicle_that_stands_as_it_should():
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ({"scale": 1000.0}, "1000 times too large"),
-        ({"scale": 0.001}, "1000 times too small"),
-        ({"scale": 1.3}, "1.30 times as large"),
-        ({"matrix": np.diag([1.0, -1.0, 1.0])}, "left-handed"),
-        ({"matrix": [[0, 1, 0], [1, 0, 0], [0, 0, 1]]}, "left-handed"),
+        ({"scale": 1000.0}, "millimetres: "),
+        ({"scale": 0.001}, "metres: "),
+        ({"scale": 1.3}, "1.30 "),
+        ({"matrix": np.diag([1.0, -1.0, 1.0])}, "mirrored: "),
+        ({"matrix": [[0, 1, 0], [1, 0, 0], [0, 0, 1]]}, "mirrored: "),
         ({"matrix": np.diag([1.0, -1.0, -1.0])}, "up is -z"),
         ({"matrix": [[1, 0, 0], [0, 0, -1], [0, 1, 0]]}, "up is -y"),
-        ({"at": (0.0, 0.0, -0.9)}, "below the floor"),
-        ({"at": (7.0, 0.0, 0.1)}, "outside of the net"),
+        ({"at": (0.0, 0.0, -0.9)}, "below: "),
+        ({"at": (7.0, 0.0, 0.1)}, "outside: "),
     ],
 )
 def test_a_frame_that_is_wrong_shows_in_a_vehicle_that_stands(wrong, text):
     findings = axes.judge_poses(VIRTUAL, TEMPLATES, seen_as(**wrong))
-    assert levels(findings) == [RED] and text in findings[0].text
+    assert levels(findings) == [RED] and text in text_of(findings, RED)
 
 
 def test_bodies_that_cannot_be_judged_say_why():
-    assert "no vehicle" in axes.judge_poses(VIRTUAL, TEMPLATES, {})[0].text
+    assert axes.judge_poses(VIRTUAL, TEMPLATES, {})[0].code == "no_vehicle"
     lost = {"fluffy_II": [np.full((4, 3), np.nan)]}
-    assert "is not seen" in text_of(axes.judge_poses(VIRTUAL, TEMPLATES, lost), YELLOW)
+    assert "unseen: " in text_of(axes.judge_poses(VIRTUAL, TEMPLATES, lost), YELLOW)
     other = seen_as()
     for frame in other["fluffy_II"]:
         frame[[0, 3]] = frame[[3, 0]]
-    assert "in the order of" in text_of(axes.judge_poses(VIRTUAL, TEMPLATES, other), YELLOW)
+    assert "misfit: " in text_of(axes.judge_poses(VIRTUAL, TEMPLATES, other), YELLOW)
 
 
 def moved(matrix, metres=0.5, noise_m=0.002):
@@ -338,14 +337,17 @@ def test_moves_that_are_seen_as_they_were():
 @pytest.mark.parametrize(
     ("matrix", "texts"),
     [
-        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], ["+x (forward) is seen as +y", "+y (to the left) is seen as +x", "left-h"]),
-        (np.diag([1, -1, 1]), ["+y (to the left) is seen as -y", "left-handed"]),
+        (
+            [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+            ["+x (forward) is seen as +y", "+y (to the left) is seen as +x", "left_hand"],
+        ),
+        (np.diag([1, -1, 1]), ["+y (to the left) is seen as -y", "left_handed: "]),
         ([[1, 0, 0], [0, 0, -1], [0, 1, 0]], ["+y (to the left) is seen as +z", "+z (up) is seen as -y"]),
         (turned_by(90), ["+x (forward) is seen as +y", "+y (to the left) is seen as -x"]),
         (turned_by(180), ["+x (forward) is seen as -x", "+y (to the left) is seen as -y"]),
-        (turned_by(40), ["turned about the vertical by 40 degrees"]),
-        (turned_by(-25), ["turned about the vertical by -25 degrees"]),
-        (1000.0 * np.eye(3), ["moved by 500 m"]),
+        (turned_by(40), [" 40 degrees"]),
+        (turned_by(-25), [" -25 degrees"]),
+        (1000.0 * np.eye(3), [" 500 m"]),
     ],
 )
 def test_moves_show_axes_that_are_swapped_mirrored_turned_or_out_of_scale(matrix, texts):
@@ -353,7 +355,7 @@ def test_moves_show_axes_that_are_swapped_mirrored_turned_or_out_of_scale(matrix
     for text in texts:
         assert text in text_of(findings, RED)
     if np.linalg.det(np.asarray(matrix, dtype=float)) > 0.0:
-        assert "left-handed" not in text_of(findings, RED)
+        assert "left_handed: " not in text_of(findings, RED)
 
 
 def test_moves_that_say_nothing():
@@ -361,9 +363,9 @@ def test_moves_that_say_nothing():
         {"x": np.array([0.5, 0.0, 0.0]), "y": np.full(3, np.nan), "z": np.array([0, 0, 0.0005])}
     )
     assert levels(findings) == [YELLOW, YELLOW, GREEN]
-    assert "not seen" in findings[0].text and "metres where millimetres" in findings[1].text
+    assert [finding.code for finding in findings[:2]] == ["move_unseen", "move_in_metres"]
     oblique = axes.judge_moves({"x": np.array([0.4, 0.3, 0.3])})
-    assert levels(oblique) == [YELLOW] and "along no axis" in oblique[0].text
+    assert levels(oblique) == [YELLOW] and oblique[0].code == "oblique"
 
 
 # ---------------------------------------------------------------- clock, vehicles, joystick, disk
@@ -416,16 +418,16 @@ def test_in_a_flight_the_base_station_knows_the_vehicles_by_their_drivers():
         interfaces=lambda: [CABLE],
     )
     findings = vehicles.check(situation)
-    assert "risc1 (192.168.1.1) answers (by its driver, flying), battery 80 %" in text_of(findings, GREEN)
-    assert "risc3 (192.168.1.1): its driver runs, but no telemetry" in text_of(findings, RED)
-    assert "no driver of the graph listens to risc2" in text_of(findings, YELLOW) and len(findings) == 3
+    assert re.search("risc1 .192.168.1.1. .* flying.* 80 %", text_of(findings, GREEN))
+    assert "no_telemetry: risc3 (192.168.1.1)" in text_of(findings, RED)
+    assert re.search("no_driver: .* risc2 ", text_of(findings, YELLOW)) and len(findings) == 3
 
 
 def test_vehicles_are_not_blamed_for_a_graph_that_cannot_be_heard():
     deaf = ros_graph.GraphReport(error="the graph did not answer", vehicles={"risc1": None})
     situation = types.SimpleNamespace(fleet=LAB, wanted=(), master=object(), graph=lambda: deaf)
     (finding,) = vehicles.check(situation)
-    assert finding.level == YELLOW and "could not be listened to" in finding.text and "`graph`" in finding.cure
+    assert finding.level == YELLOW and finding.code == "unheard" and "`graph`" in finding.cure
 
 
 def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
@@ -442,8 +444,8 @@ def test_joysticks(monkeypatch, tmp_path):
     assert operator_joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
     short = operator_joystick.judge("js0", "Pad", 10, 8, needed)
     assert short.level == RED and "button 10" in short.text
-    assert "not there" in operator_joystick.look(str(tmp_path / "js0"), needed).text
-    assert "not a joystick" in operator_joystick.look("/dev/null", needed).text
+    assert operator_joystick.look(str(tmp_path / "js0"), needed).code == "missing"
+    assert operator_joystick.look("/dev/null", needed).code == "other_device"
     monkeypatch.setattr(operator_joystick, "_PATTERN", str(tmp_path / "js*"))
     none = [operator_joystick.check(Situation(fleet, "", ROOT, {})) for fleet in (VIRTUAL, LAB)]
     assert list(map(levels, none)) == [[GREEN], [YELLOW]]
@@ -552,12 +554,11 @@ def test_the_address_that_nodes_tell():
     assert levels(wrong) == [RED] and "export ROS_IP=129.123.5.240, 192.168.1.2" in wrong[0].cure
     both = judge(ROS_IP="129.123.5.240", ROS_HOSTNAME="no.such.host.invalid")
     assert levels(both) == [YELLOW, RED]
-    assert "from this computer only" in text_of(judge(ROS_IP="127.0.0.1"), YELLOW)
-    assert "from this computer only" in text_of(judge(ROS_HOSTNAME="localhost"), YELLOW)
     for environment in ({"ROS_IP": "127.0.0.1"}, {"ROS_HOSTNAME": "localhost"}):
-        assert "master is on another computer" in text_of(judge(Far(), several=False, **environment), RED)
+        assert "only_here_several: " in text_of(judge(**environment), YELLOW)
+        assert "only_here: " in text_of(judge(Far(), several=False, **environment), RED)
     unnamed = judge(Far(), several=False)
-    assert levels(unnamed) == [YELLOW] and "'risc1', which the other computers must know" in unnamed[0].text
+    assert levels(unnamed) == [YELLOW] and unnamed[0].code == "no_ip_several" and "'risc1'" in unnamed[0].text
 
 
 def test_an_own_name_on_the_loopback_card_is_as_debian_has_it(monkeypatch):
@@ -570,7 +571,7 @@ def test_an_own_name_on_the_loopback_card_is_as_debian_has_it(monkeypatch):
     assert levels(judge(None)) == [GREEN]
     monkeypatch.setattr(ros, "resolve", {"risc2": "127.0.1.1", "129.123.5.10": "129.123.5.10"}.get)
     (finding,) = judge(Far())
-    assert finding.level == YELLOW and "'risc2', which is 127.0.1.1 here" in finding.text
+    assert finding.level == YELLOW and "'risc2'" in finding.text and "127.0.1.1" in finding.text
     assert "unset ROS_HOSTNAME; export ROS_IP=129.123.5.240" in finding.cure, "ROS_HOSTNAME wins over ROS_IP"
 
 
@@ -581,7 +582,7 @@ def test_a_program_that_is_no_master_is_not_waited_for():
         uri = "http://127.0.0.1:%d" % listener.getsockname()[1]
         with pytest.raises(MasterError, match="no answer"):
             call(uri, "getPid", patience_s=0.1)
-    with pytest.raises(NobodyThereError, match="nothing listens"):
+    with pytest.raises(NobodyThereError):
         call(uri, "getPid")
 
 
@@ -605,7 +606,7 @@ def test_a_web_server_is_no_master():
 
     with http.server.HTTPServer(("127.0.0.1", 0), Page) as server:
         threading.Thread(target=server.handle_request, daemon=True).start()
-        with pytest.raises(MasterError, match="not a ROS program"):
+        with pytest.raises(MasterError, match="ROS program"):
             call("http://127.0.0.1:%d" % server.server_address[1], "getPid")
 
 
@@ -629,7 +630,8 @@ def test_rates_and_complaints_of_a_graph():
     bad = report({"/mocap_data": 0.0, "/cortex_raw": 120.0}, [(2, "stream", "no host"), (1, "est", "slow")])
     findings = ros_graph.judge(bad, 200.0)
     assert levels(findings) == [RED, YELLOW, YELLOW, RED, YELLOW]
-    assert "although /node publishes it" in findings[0].text and "no node publishes /controls" in findings[2].text
+    assert (findings[0].code, findings[2].code) == ("silent", "unpublished")
+    assert "/node " in findings[0].text and "/controls" in findings[2].text
     assert levels(ros_graph.judge(ros_graph.GraphReport(), 200.0)) == [GREEN]
 
 
@@ -657,11 +659,11 @@ def doctor(*words, **environment):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--only", "weather"], "no check 'weather'"),
-        (["nowhere.yaml"], "cannot read nowhere.yaml"),
-        (["--vehicle", "risc9"], "the fleet has no 'risc9'"),
-        (["--axes", "risc1", "--json"], "leave out --json"),
-        (["--axes", "risc1"], "in a terminal"),
+        (["--only", "weather"], "'weather'"),
+        (["nowhere.yaml"], "nowhere.yaml"),
+        (["--vehicle", "risc9"], "'risc9'"),
+        (["--axes", "risc1", "--json"], "--json"),
+        (["--axes", "risc1"], "terminal"),
     ],
 )
 def test_wrong_use_is_told_in_one_line(words, complaint, monkeypatch, capsys):
@@ -710,8 +712,8 @@ def test_a_doctor_that_cannot_run_names_the_cure(package, cure, tmp_path):
     """`machines deploy` brings the workspace to a laptop before its packages are installed there."""
     (tmp_path / "apt-packages.txt").write_text(package + "\n")
     done = doctor_of_shell(tmp_path, "echo line; echo Traceback >&2; echo 'No module named psutil' >&2; exit 1")
-    complaint = "maap: the doctor cannot run here (No module named psutil): run ./maap %s\n" % cure
-    assert (done.returncode, done.stdout, done.stderr) == (1, "", complaint)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert "psutil" in done.stderr and done.stderr.endswith("./maap %s\n" % cure)
 
 
 def test_what_another_computer_asks_for_comes_as_one_line_of_json(tmp_path):

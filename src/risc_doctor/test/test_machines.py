@@ -320,33 +320,30 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
     assert code == 1 and "start it with" not in printed
     assert list(found)[1:-1] == re.findall(r'machine name="(\w+)"', file.read_text())
     for name, texts in {
-        "closed": ["red network", "port 9 refuses the connection", "> on that computer: sudo apt install openssh"],
-        "mute": ["red network", "is not an ssh server"],
-        "nowhere": ["red network no-such-name.invalid: this name cannot be resolved", "/etc/hosts"],
-        "unknown": ["red host key known_hosts has this key for risc2, but the launch file says 127"],
-        "bracketed": ["red host key", "but roslaunch looks for %s without" % server.addresses[2]],
+        "closed": ["red network", "port 9 refuses", "> on that computer: sudo apt install openssh"],
+        "mute": ["red network", "not an ssh server"],
+        "nowhere": ["red network no-such-name.invalid: ", "/etc/hosts"],
+        "unknown": ["red host key known_hosts has this key for risc2, "],
+        "bracketed": ["red host key", "looks for %s " % server.addresses[2]],
         "changed": ["red host key THE HOST KEY OF", "HAS CHANGED", "ssh-keygen -R '%s'" % server.name(3)],
-        "rsa_only": ["red host key known_hosts has only the ssh-rsa key", "> ./maap machines setup adds"],
-        "bare": ["red host key %s is not in" % server.name(5), "> ./maap machines setup"],
-        "refused": ['yellow password password="" is not the same', "red login", "ssh-copy-id -p %d" % server.port],
-        "gone": ["red password the launch file holds a password", "red env-loader there is no", "deploy"],
+        "rsa_only": ["the ssh-rsa key", "> ./maap machines setup adds"],
+        "bare": ["red host key %s " % server.name(5), "> ./maap machines setup"],
+        "refused": ['yellow password password="" ', "red login", "ssh-copy-id -p %d" % server.port],
+        "gone": ["red password", "red env-loader", "deploy"],
         "flat": ["red env-loader", "is not executable there", "chmod +x"],
         "broken": ["red env-loader", "fails there: coop.sh: the disk is full"],
         "wrong": [
-            "yellow env-loader", "roslaunch waits 0.01 s",
-            "red workspace another workspace there", "launch/strange.launch",
-            "nothing flows from wrong to here: nodes there say that they are at 255.255.255.255", "a wrong ROS_IP",
-            "red clock", "ms ahead of this computer's", "the failsafe treats states older", "green disk",
+            "yellow env-loader", "roslaunch waits 0.01 s", "red workspace", "launch/strange.launch",
+            "red topics", "255.255.255.255", "a wrong ROS_IP", "red clock", "ms ahead of", "makestep", "green disk",
         ],
         "stubborn": [
-            "green workspace", "red topics its env-loader sets ROS_MASTER_URI to http://127.0.0.1:9",
-            "measured over ssh; chrony there follows this computer, but says 90.0 ms behind)",
+            "green workspace", "red topics", "http://127.0.0.1:9", "devel/coop.sh", " 90.0 ms behind)",
         ],
         "nameless": [
-            "red workspace it is %s here, but %s there" % (here.parents[1], nameless.parents[1]),
-            "nothing flows from nameless to here", "no-such-name.invalid cannot be resolved", "green clock",
+            "red workspace", str(here.parents[1]), str(nameless.parents[1]),
+            "from nameless to here", "no-such-name.invalid cannot be resolved", "green clock",
         ],
-        "dying": ["red network the ssh connection to dying is lost", "still on and in the network"],
+        "dying": ["red network", "connection to dying is lost"],
         "spare": ["not needed, not checked"],
     }.items():  # fmt: skip
         for text in texts:
@@ -391,7 +388,7 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
     found = sections(good[1])
     assert good[0] == 0 and not re.search("^red", good[1], re.MULTILINE)
     assert set(found) == {"this computer", "base", "risc2", None}
-    for text in ("green login", "green env-loader", "the same as here", "green topics they flow in both", "green disk"):
+    for text in ("green login", "green env-loader", "green workspace", "green topics", "green disk"):
         assert text in found["risc2"]
     assert "yellow shell" in found["this computer"] and "ROS_HOSTNAME=localhost" in found["this computer"]
     assert "unset ROS_HOSTNAME; export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:" in found["this computer"]
@@ -401,9 +398,9 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
     )
     assert str(file) in line and "speed:=2 3" in line
     found = sections(bad[1])["risc3"]
-    assert bad[0] == 1 and "red joystick /dev/input/js77 is not there" in found
-    assert "red vehicles the vehicle at 127.199.0.1 does not answer" in found
-    assert locked[0] == 1 and "red login the ssh key has a passphrase" in sections(locked[1])["risc2"]
+    assert bad[0] == 1 and "red joystick /dev/input/js77 " in found
+    assert re.search("red vehicles .* 127.199.0.1 ", found)
+    assert locked[0] == 1 and re.search("red login .* passphrase", sections(locked[1])["risc2"])
 
 
 def test_a_command_may_print_more_than_a_stream_holds(tmp_path, monkeypatch):
@@ -419,7 +416,7 @@ def test_a_command_may_print_more_than_a_stream_holds(tmp_path, monkeypatch):
             answer = session.limited("python3 -c %s" % shlex.quote(script), 10.0)
             dead = session.limited("sleep 60", 0.2)
         assert (answer.code, len(answer.out), len(answer.err)) == (0, 99 * 65536, 99 * 65536)
-        assert dead.code is None and dead.reason() == "it takes too long"
+        assert dead.code is None and dead.reason()
     finally:
         server.close()
 
@@ -466,12 +463,11 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         old = "# of the person\ngithub.invalid %s" % server.host_keys["ecdsa"]  # without a line end
         server.known_hosts.write_text(old)
         code, printed = server.maap("setup", file)
-        assert code == 1 and "you have not confirmed that these are its keys" in flat(printed)
-        assert server.known_hosts.read_text() == old
+        assert code == 1 and server.known_hosts.read_text() == old
         expected = run("ssh-keygen", "-lf", str(tmp_path / "server" / "host_ed25519.pub")).split()[1]
         assert expected in printed
         key = server.home / ".ssh" / "id_ed25519"
-        assert "made %s" % key in flat(printed) and key.stat().st_mode & 0o777 == 0o600
+        assert str(key) in flat(printed) and key.stat().st_mode & 0o777 == 0o600
         server.authorized.write_text(key.with_name("id_ed25519.pub").read_text())
 
         code, printed = server.maap("setup", file, "--only", "risc4", "--yes")
@@ -484,12 +480,12 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         server.wait_for_restart(1)
         code, printed = server.maap("check", file, "--only", "risc2,risc4", root=tmp_path)
         found = sections(printed)
-        assert "green keep-alive sshd there is set to end dead connections after 6 s" in found["risc2"], printed
-        assert "green keep-alive %s is there; whether" % "/etc/ssh/sshd_config.d/risc_maap.conf" in found["risc4"]
+        assert re.search("green keep-alive .* 6 s", found["risc2"]), printed
+        assert "green keep-alive /etc/ssh/sshd_config.d/risc_maap.conf " in found["risc4"]
         (settings / "a_first.conf").write_text("ClientAliveInterval 3600\n")  # of several, sshd takes the first
         code, printed = server.maap("setup", file, "--only", "risc2")
-        assert "yellow keep-alive wrote /etc/ssh/sshd_config.d/risc_maap.conf there, but sshd" in flat(printed)
-        assert "does not begin with Include /etc/ssh/sshd_config.d/*.conf" in flat(printed)
+        assert "yellow keep-alive wrote /etc/ssh/sshd_config.d/risc_maap.conf " in flat(printed)
+        assert "Include /etc/ssh/sshd_config.d/*.conf" in flat(printed)
         (settings / "a_first.conf").unlink()
         server.wait_for_restart(2)
         written = server.known_hosts.read_text()
@@ -503,7 +499,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         # nothing is missing, but whether sshd has read it is unknown: it is told once more
         before = server.restarts()
         code, printed = server.maap("setup", file, "--only", "risc2", "--yes")
-        assert code == 0 and "wrote" not in printed and "green keep-alive sshd there is set to" in flat(printed)
+        assert code == 0 and "wrote" not in printed and "green keep-alive" in flat(printed)
         server.wait_for_restart(before + 1)
         code, printed = server.maap("setup", file, "--only", "risc3", "--yes")
         print(printed)
@@ -514,7 +510,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         changed = server.known_hosts.read_text().replace(server.host_keys["ed25519"], key_pair(tmp_path / "strange"))
         server.known_hosts.write_text(changed)
         code, printed = server.maap("setup", file, "--only", "risc2", "--yes")
-        assert code == 1 and "HAS CHANGED; nothing was written" in flat(printed)
+        assert code == 1 and "HAS CHANGED" in flat(printed)
         assert "ssh-keygen -R '%s'" % server.name(0) in printed and server.known_hosts.read_text() == changed
 
         # an sshd that would not come back from reading its settings is left alone, and so is a file that it had
@@ -558,7 +554,7 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
         server.known_hosts.write_text("".join(map(server.know, range(3))))
         foreign = server.launch_file(server.machine(2, "risc2", loader))
         code, printed = server.maap("deploy", foreign, root=here)
-        assert code == 1 and "red processor its processor is pdp11, this one is" in flat(printed)
+        assert code == 1 and re.search("red processor .* pdp11", flat(printed))
         assert not any(there.iterdir())
         file = server.launch_file(
             server.machine(0, "risc2", loader), server.machine(1, "risc3", loader),
@@ -567,11 +563,10 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
         code, printed = server.maap("deploy", file, root=here)
         print(printed)
         found = sections(printed)
-        assert code == 1 and "green send the workspace is there yellow packages" in found["risc2"]
-        assert "1 Debian packages are missing there: no-such-package > on that" in found["risc2"]
+        assert code == 1 and re.search("green send .* yellow packages .* no-such-package", found["risc2"])
         assert "green workspace" in found["risc2"]
-        assert "red rsync it is not installed there > on that computer: sudo apt install rsync" in found["risc3"]
-        assert "red folder the workspace is %s here, but %s there" % (here, tmp_path / "elsewhere") in found["risc4"]
+        assert re.search("red rsync .*sudo apt install rsync", found["risc3"])
+        assert re.search("red folder .* %s .* %s " % (here, tmp_path / "elsewhere"), found["risc4"])
         arrived = {str(path.relative_to(there)) for path in there.rglob("*") if path.is_file()}
         assert arrived == {
             "src/pkg/nodes/fly.py", "src/pkg/config/cameras/risc1.yaml", "launch/x.launch", "maap", "devel/setup.sh",
@@ -597,7 +592,7 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
         finally:
             node.kill()
             node.communicate()
-        assert code == 1 and "nodes of this workspace run there (driver)" in flat(printed)
+        assert code == 1 and "(driver)" in flat(printed)
         assert (there / "src/pkg/nodes/old.py").exists()
 
         code, printed = server.maap("deploy", file, "--only", "risc2", root=here)
@@ -610,15 +605,15 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
             "src/pkg/config/cameras/risc1.yaml": "calibrated there",
         }  # fmt: skip
         assert (there / "src/pkg/config/cameras/risc1.yaml").read_text() == "ours"
-        assert "5 files that were different or gone here are kept" in flat(printed)
-        assert "the same source, but not the same build: install/theirs differs" in flat(printed)  # none is made here
+        assert " 5 files " in flat(printed)
+        assert "install/theirs differs" in flat(printed)  # none is made here
         (here / "install").mkdir()
         code, printed = server.maap("deploy", file, "--only", "risc2", root=here)
-        assert code == 0 and "1 files that were" in flat(printed) and not (there / "install/theirs").exists()
-        assert "the same as here" in flat(printed)
+        assert code == 0 and " 1 files " in flat(printed) and not (there / "install/theirs").exists()
+        assert "green workspace" in flat(printed)
         (here / "devel" / "setup.sh").unlink()
         code, printed = server.maap("deploy", file, root=here)
-        assert code == 2 and printed == "maap machines: %s is not built: ./maap build\n" % here
+        assert code == 2 and re.fullmatch("maap machines: %s .* ./maap build\n" % here, printed)
     finally:
         server.close()
 
@@ -626,9 +621,9 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ([], "there is no launch file nowhere.launch"),
-        (["b.launch"], "one launch file, please: found nowhere.launch and b.launch"),
-        (["--yes"], "--yes is for setup"),
+        ([], "nowhere.launch"),
+        (["b.launch"], "nowhere.launch and b.launch"),
+        (["--yes"], "--yes"),
     ],
 )
 def test_wrong_usage_is_one_line(words, line, capsys):
@@ -639,13 +634,13 @@ def test_wrong_usage_is_one_line(words, line, capsys):
 @pytest.mark.parametrize(
     ("content", "words", "line"),
     [
-        ("<machine name='a' address='127.0.0.1'/>", ["sped:=1"], "has no argument sped: it has speed"),
-        ("<machine name='a' address='127.0.0.1'/>", ["--only", "a,b"], "has no machine b: it has a"),
-        ("", [], "has no <machine> tags"),
-        ("<machine name='a'/>", [], "roslaunch cannot read"),
-        ("<arg name='ip'/><include file='$(arg ip)'/>", [], "requires the 'ip' arg"),
+        ("<machine name='a' address='127.0.0.1'/>", ["sped:=1"], " sped: .* speed"),
+        ("<machine name='a' address='127.0.0.1'/>", ["--only", "a,b"], " machine b: .* a"),
+        ("", [], "<machine>"),
+        ("<machine name='a'/>", [], "roslaunch"),
+        ("<arg name='ip'/><include file='$(arg ip)'/>", [], "'ip'"),
         ("<machine name='a' address='127.0.0.1'/><node pkg='joy' type='x' name='x' machine='b'/>", [],
-         "node x is for machine b, which no <machine> tag declares"),
+         "node x .* machine b, .*<machine>"),
     ],
 )  # fmt: skip
 def test_a_launch_file_that_does_not_do_is_one_line(content, words, line, tmp_path, capsys):
@@ -653,7 +648,7 @@ def test_a_launch_file_that_does_not_do_is_one_line(content, words, line, tmp_pa
     file.write_text("<launch><arg name='speed' default='1'/>%s</launch>" % content)
     assert exit_code_of("check", file, *words) == 2
     (printed,) = capsys.readouterr().err.splitlines()
-    assert printed.startswith("maap machines: ") and line in printed
+    assert re.match("maap machines: .*" + line, printed)
 
 
 YOURS = ["risc%d_address:=127.0.9.%d" % (number, number) for number in range(1, 5)]

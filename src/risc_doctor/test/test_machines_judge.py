@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import socket
 
 import paramiko
@@ -20,8 +21,8 @@ MASTER = "http://127.0.0.1:5000"
 @pytest.mark.parametrize(
     ("error", "text", "cure"),
     [
-        (TimeoutError(), "no answer from 127.0.0.9 port 22 within 5 s", "same network"),
-        (OSError(errno.ENETUNREACH, os.strerror(errno.ENETUNREACH)), "no route to 127.0.0.9", "cable or the Wi-Fi"),
+        (TimeoutError(), "127.0.0.9 port 22 within 5 s", "same network"),
+        (OSError(errno.ENETUNREACH, os.strerror(errno.ENETUNREACH)), " route to 127.0.0.9", "ip route get 127.0.0.9"),
         (ConnectionRefusedError(), "refuses", "openssh-server"),
         (socket.gaierror(), "cannot be resolved", "/etc/hosts"),
     ],
@@ -53,25 +54,23 @@ def test_the_clock_is_judged_by_offset_and_uncertainty(offset_s, uncertainty_s, 
 @pytest.mark.parametrize(
     ("chrony", "measured_s", "level", "text"),
     [
-        ((0.001, 0.0002), (0.0012, 0.001), "green", "1.0 ms ahead of this computer's (± 0.2 ms, chrony there follows"),
+        ((0.001, 0.0002), (0.0012, 0.001), "green", "1.0 ms ahead .*± 0.2 ms, chrony"),
         # its bound is that of the way from our own server's to its clock: what is measured between us two is better
-        ((0.001, 0.030), (0.0012, 0.001), "green", "1.2 ms ahead of this computer's (± 1.0 ms, measured over ssh; "
-         "chrony there follows this computer)"),
-        ((0.0, 0.001), (0.030, 0.001), "red", "30.0 ms ahead of this computer's (± 1.0 ms, measured over ssh; "
-         "chrony there follows this computer, but says 0.0 ms behind)"),
-        ((0.012, 0.002), (0.0, 0.001), "green", "but says 12.0 ms ahead of"),
+        ((0.001, 0.030), (0.0012, 0.001), "green", "1.2 ms ahead .*± 1.0 ms, measured .*; chrony"),
+        ((0.0, 0.001), (0.030, 0.001), "red", "30.0 ms ahead .*± 1.0 ms, measured .*; chrony .* 0.0 ms behind"),
+        ((0.012, 0.002), (0.0, 0.001), "green", " 12.0 ms ahead "),
     ],
 )  # fmt: skip
 def test_chrony_is_not_believed_against_the_measurement(chrony, measured_s, level, text):
     tracking = ClockState("chrony", True, chrony[0], "127.0.0.1", chrony[1])
     found = clock_offset.combine(tracking, measured_s, "127.0.0.1")
-    assert found.level == level and text in found.text
+    assert found.level == level and re.search(text, found.text)
 
 
 def test_chrony_that_follows_another_is_told():
     other, alone = ClockState("chrony", True, 0.0, "127.0.0.7"), ClockState("chrony", False)
     for state, text in ((other, "127.0.0.7"), (alone, "no other clock")):
-        assert "chrony there follows %s" % text in clock_offset.combine(state, (0.0, 0.001), "127.0.0.1").text
+        assert text in clock_offset.combine(state, (0.0, 0.001), "127.0.0.1").text
     assert "chrony" not in clock_offset.combine(None, (0.0, 0.001), "127.0.0.1").text
 
 
@@ -81,31 +80,19 @@ def told(**changes):
 
 
 @pytest.mark.parametrize(
-    ("there", "trouble", "texts"),
+    ("there", "trouble", "code", "texts"),
     [
-        ({}, "", ["they flow in both directions"]),
-        (
-            {"trouble": "no answer from 127.0.0.1:5000"},
-            "",
-            ["nothing flows from here to risc2: no answer from 127.0.0.1:5000", "sudo ufw allow from 127.0.0.9"],
-        ),
-        (
-            {"trouble": "the name base cannot be resolved"},
-            "",
-            ["nothing flows from here to risc2", "set ROS_IP here"],
-        ),
-        ({}, "no answer from 127.0.0.9:40000", ["nothing flows from risc2 to here: no answer", "firewall there"]),
-        (
-            {"uri": "http://10.0.0.99:40000"},
-            "no answer from 10.0.0.99:40000",
-            ["nothing flows from risc2 to here: nodes there say that they are at 10.0.0.99", "a wrong ROS_IP"],
-        ),
-        ({"master_uri": "http://127.0.0.1:9"}, "", ["its env-loader sets ROS_MASTER_URI to http://127.0.0.1:9"]),
+        ({}, "", "good", []),
+        ({"trouble": "no answer from 127.0.0.1:5000"}, "", "not_there", ["127.0.0.1:5000", "allow from 127.0.0.9"]),
+        ({"trouble": "the name base cannot be resolved"}, "", "name_unknown_there", ["risc2: the name base", "ROS_IP"]),
+        ({}, "no answer from 127.0.0.9:40000", "not_here", ["127.0.0.9:40000", "sudo ufw allow"]),
+        ({"uri": "http://10.0.0.99:40000"}, "no answer", "other_address", ["10.0.0.99", "127.0.0.9", "ROS_IP"]),
+        ({"master_uri": "http://127.0.0.1:9"}, "", "other_uri", ["http://127.0.0.1:9", "devel/coop.sh"]),
     ],
 )
-def test_each_direction_of_a_topic_has_its_own_cause(there, trouble, texts):
+def test_each_direction_of_a_topic_has_its_own_cause(there, trouble, code, texts):
     (found,) = topic_flow.judge(RISC2, MASTER, told(**there), trouble)
-    assert all(text in found.text + found.cure for text in texts)
+    assert found.code == code and all(text in found.text + found.cure for text in texts)
 
 
 def test_both_directions_may_fail():
@@ -117,21 +104,21 @@ CALIBRATION = "src/risc_lab/config/cameras/risc1.yaml"
 
 
 @pytest.mark.parametrize(
-    ("there", "level", "text"),
+    ("there", "code", "file"),
     [
-        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"}, "green", "the same as here"),
-        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3", "src/pkg/notes.yaml": "4"}, "green", "the same as here"),
-        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "9"}, "yellow", "its own calibration: " + CALIBRATION),
-        ({"src/a.py": "1", "devel/b": "9", CALIBRATION: "3"}, "yellow", "not the same build: devel/b differs"),
-        ({"src/a.py": "9", "devel/b": "9", CALIBRATION: "3"}, "red", "src/a.py differs"),
-        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3", "src/x.py": "4"}, "red", "src/x.py differs"),
-        ({"src/a.py": "1", "devel/b": "2"}, "red", CALIBRATION + " differs"),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"}, "same", ""),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3", "src/pkg/notes.yaml": "4"}, "same", ""),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "9"}, "own_calibration", CALIBRATION),
+        ({"src/a.py": "1", "devel/b": "9", CALIBRATION: "3"}, "another_build", "devel/b"),
+        ({"src/a.py": "9", "devel/b": "9", CALIBRATION: "3"}, "another", "src/a.py"),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3", "src/x.py": "4"}, "another", "src/x.py"),
+        ({"src/a.py": "1", "devel/b": "2"}, "another", CALIBRATION),
     ],
 )
-def test_workspaces_are_compared_file_by_file(there, level, text):
+def test_workspaces_are_compared_file_by_file(there, code, file):
     here = Workspace("/ws", "abc", True, {"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"})
     found = workspace_digest.compare(here, Workspace("/ws", "abc", True, there))
-    assert found.level == level and text in found.text
+    assert found.code == code and file in found.text
     assert workspace_digest.compare(here, Workspace("/ws", "abc", False, {})).level == "red"
 
 
@@ -181,15 +168,15 @@ def test_what_this_shell_would_tell_the_others(environment, wrong):
 
 
 @pytest.mark.parametrize(
-    ("error", "text"),
+    ("error", "code"),
     [
-        (EOFError(), "is not an ssh server (it closes the connection)"),
-        (paramiko.SSHException("Error reading SSH protocol banner"), "is not an ssh server (Error reading"),
-        (paramiko.AuthenticationException(), "accepts none of this computer's keys"),
-        (paramiko.PasswordRequiredException(), "has a passphrase"),
+        (EOFError(), "no_ssh"),
+        (paramiko.SSHException("Error reading SSH protocol banner"), "no_ssh"),
+        (paramiko.AuthenticationException(), "refused"),
+        (paramiko.PasswordRequiredException(), "passphrase"),
     ],
 )
-def test_each_end_of_a_login_is_a_finding(error, text, monkeypatch):
+def test_each_end_of_a_login_is_a_finding(error, code, monkeypatch):
     def fail(*_, **__):
         raise error
 
@@ -197,7 +184,7 @@ def test_each_end_of_a_login_is_a_finding(error, text, monkeypatch):
     monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
     with pytest.raises(FoundError) as caught:
         ssh.connect(RISC2)
-    assert caught.value.finding.level == "red" and text in caught.value.finding.text
+    assert (caught.value.finding.level, caught.value.finding.code) == ("red", code)
 
 
 @pytest.mark.parametrize(
@@ -227,7 +214,7 @@ def test_a_check_that_breaks_is_one_red_finding():
         raise KeyError("surprise")
 
     (found,) = guarded("nodes", fail)
-    assert found.level == "red" and "the check itself failed: KeyError: 'surprise'" in found.text
+    assert found.level == "red" and "KeyError: 'surprise'" in found.text
 
 
 class Talker:
@@ -246,8 +233,8 @@ class Talker:
 @pytest.mark.parametrize("printed", ["", "5", "null", "{}", "[3]", '{"files": 5}', '{"files": {}}', "[]]"])
 def test_what_is_no_answer_is_a_finding(printed):
     found = [check._workspace(Talker(printed), None), *check._doctor(RISC2, Talker(printed).loaded)]
-    assert [finding.text[:16] for finding in found] == ["its revision and", "it does not run "]
-    assert all("./maap setup on that computer" in finding.cure for finding in found), "it may lack packages"
+    assert [(finding.check, finding.code) for finding in found] == [("workspace", "mute"), ("doctor", "fails")]
+    assert all("./maap setup" in finding.cure for finding in found), "it may lack packages"
 
 
 def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path, monkeypatch, capsys):
