@@ -27,11 +27,11 @@ def test_one_is_told_alone_and_one_of_somebodys_own(capsys, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(HERE / "members"))
     assert main(["mocap_blackout", "toy_cutout"]) == 0
     told = capsys.readouterr().out
-    assert told.startswith("mocap_blackout: no frame") and "0 to 60 s" in told and "for 0.3 s" in told
-    assert "toy_cutout: the motors of a vehicle stop" in told and "jump" not in told
+    assert told.startswith("mocap_blackout: ") and "0 to 60 s" in told and "for 0.3 s" in told
+    assert "\ntoy_cutout: " in told and "jump" not in told
     with pytest.raises(SystemExit):
         main(["fire"])
-    assert "unknown name 'fire' among the faults; known are" in capsys.readouterr().err
+    assert "'fire'" in capsys.readouterr().err
 
 
 def test_the_documentation_names_each():

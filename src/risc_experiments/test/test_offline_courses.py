@@ -35,7 +35,7 @@ def test_a_course_that_is_refused_is_left_when_it_is_flown_all_the_same(monkeypa
     assert np.median([result.rmse_m[0] for result in allowed]) < 0.05
     assert max(result.saturated for result in allowed) < 0.1
     beyond = replace(wanted, speed="2.3")
-    with pytest.raises(ValueError, match="'flat8' cannot be flown by type 'ardrone': .*at --speed 1.6"):
+    with pytest.raises(ValueError, match="'flat8' .*'ardrone': .* --speed 1.6"):
         fly(beyond)
     monkeypatch.setattr(feasibility, "check_course", lambda *_: None)
     result = fly(beyond)

@@ -64,7 +64,7 @@ def test_each_fault_is_in_a_flight():
 
 
 def test_faults_on_programs_are_refused():
-    with pytest.raises(ValueError, match=r"node_kill acts on programs .*: only ./maap fly"):
+    with pytest.raises(ValueError, match="node_kill .* ./maap fly"):
         flown(["node_kill:controller@1"], ("ardrone",))
 
 

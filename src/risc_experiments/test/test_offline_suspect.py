@@ -66,10 +66,10 @@ def believe_all(monkeypatch, **params):
     ("lie", "words", "kind"),
     [
         (flip, "yaw", "ardrone"),
-        (exchange, "exchanged their names", "iris"),
+        (exchange, "exchanged", "iris"),
         (freeze, "ms old", "ardrone"),
         more(flip, "yaw", "iris"),
-        more(exchange, "exchanged their names", "ardrone"),
+        more(exchange, "exchanged", "ardrone"),
         more(freeze, "ms old", "iris"),
     ],
 )

@@ -58,11 +58,9 @@ def test_the_master_is_one_of_them(node):
 
 def test_who_is_missing_is_told_and_who_is_there(node):
     node("controller"), node("stream_markers"), node("draw_cortex")
-    with pytest.raises(LookupError) as refused:
+    with pytest.raises(LookupError, match="'trajectory' .* mocap_client, controller, draw_cortex$"):
         find(IDENTITY, "trajectory")
-    told = "no program 'trajectory' is part of this flight; there are mocap_client, controller, draw_cortex"
-    assert str(refused.value) == told
-    with pytest.raises(LookupError, match="there are none"):
+    with pytest.raises(LookupError, match="none"):
         find("no flight", "controller")
 
 
@@ -70,7 +68,7 @@ def test_of_several_a_vehicle_has_its_own_or_shares_one(node):
     first, second = node("roscopter", "/iris1/apm"), node("roscopter", "/iris2/apm")
     assert find(IDENTITY, "driver", "iris2").process.pid == second.pid
     assert find(IDENTITY, "driver").process.pid == first.pid
-    with pytest.raises(LookupError, match="no program 'driver'"):
+    with pytest.raises(LookupError, match="'driver'"):
         find(IDENTITY, "driver", "risc1")
     shared = node("ardrone_driver")
     assert find(IDENTITY, "driver", "risc1").process.pid == shared.pid
@@ -80,7 +78,7 @@ def test_of_several_a_vehicle_has_its_own_or_shares_one(node):
 
 def test_a_type_from_elsewhere_has_its_driver_among_them(node, monkeypatch):
     toy = node("toy_commands", "/risc1")
-    with pytest.raises(LookupError, match="no program 'driver'"):
+    with pytest.raises(LookupError, match="'driver'"):
         find(IDENTITY, "driver", "risc1")
     monkeypatch.setenv("RISC_MAAP_MEMBERS", str(pathlib.Path(__file__).parent / "members"))
     assert find(IDENTITY, "driver", "risc1").process.pid == toy.pid

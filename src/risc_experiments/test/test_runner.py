@@ -3,6 +3,7 @@
 import io
 import os
 import pathlib
+import re
 import socket
 import subprocess
 import sys
@@ -45,9 +46,9 @@ def test_a_good_flight_passes():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"course": np.zeros(4000, dtype=bool)}, "never reached its course"),
+        ({"course": np.zeros(4000, dtype=bool)}, "never reached"),
         ({"settle_s": None, "position_rmse_m": None}, "never settled"),
-        ({"position_rmse_m": 0.2}, "RMSE 200 mm is over 100 mm"),
+        ({"position_rmse_m": 0.2}, "RMSE 200 mm "),
         ({"position_max_m": 0.5}, "largest error 500 mm"),
         ({"yaw_rmse_rad": 0.5}, "yaw RMSE 28.6 deg"),
         ({"actual_m": np.tile([2.47, 0.0, 0.1], (4000, 1))}, "net"),
@@ -64,7 +65,7 @@ def test_an_error_that_grows_is_told():
     path = vehicle().actual_m + np.outer(np.select([t_s < 15.0, t_s < 25.0], [0.1, 0.2], 0.3), [1.0, 0.0, 0.0])
     path[-1, 2] = 0.08
     (reason,) = reasons(position_rmse_m=0.2, actual_m=path)
-    assert reason.endswith("(in the three thirds of the course 100, 200, 300 mm)")
+    assert reason.endswith(" 100, 200, 300 mm)")
 
 
 def test_two_faults_are_both_named():
@@ -98,8 +99,8 @@ def test_a_vehicle_that_suffered_may_land_and_be_off_its_course():
         assert len(judged(nobody, **FAR_OFF)) == 2, "without a fault of its own it must be where it should"
     nowhere = np.zeros(4000, dtype=bool)
     assert judged([fault()], {"risc1": LANDED}, {"risc1": 11.5}, course=nowhere) == [], "landed on the way to a figure"
-    up = judged([fault()], actual_m=np.tile([0.0, 0.0, 0.9], (4000, 1)))
-    assert up == ["fluffy_II: was still 0.90 m up at the end"]
+    (up,) = judged([fault()], actual_m=np.tile([0.0, 0.0, 0.9], (4000, 1)))
+    assert up.startswith("fluffy_II: ") and "0.90 m" in up
 
 
 def test_an_outcome_that_is_not_safe_fails_the_flight():
@@ -236,7 +237,7 @@ def test_the_page_is_told_when_it_is_there_and_not_before():
         page.look()
     page.look()
     page.end()
-    assert stream.getvalue() == "to be seen (and landed) at http://127.0.0.1:%d\n" % port
+    assert re.fullmatch(".* http://127.0.0.1:%d\n" % port, stream.getvalue())
 
 
 def test_a_page_that_never_came_is_told_at_the_end():
@@ -244,7 +245,7 @@ def test_a_page_that_never_came_is_told_at_the_end():
     page = WebPage(free_tcp_port(), Progress(stream))
     page.look()
     page.end()
-    assert stream.getvalue() == "there was no page of the flight (see roslaunch.log)\n"
+    assert "roslaunch.log" in stream.getvalue()
 
 
 def test_defaults_of_the_command_line():
@@ -266,7 +267,7 @@ def test_a_flight_through_waypoints_keeps_them_in_its_folder(tmp_path):
     assert (told["trajectory"], told["speed"]) == ("square", "0.9")
     assert told["waypoints"].parent == tmp_path / "flight" and told["waypoints"].read_bytes() == path.read_bytes()
     args = arguments(["--vehicles", "1", "--trajectory", str(path), "--speed", "9"])
-    with pytest.raises(ValueError, match="'square' cannot be flown by type 'ardrone': .* at --speed"):
+    with pytest.raises(ValueError, match="'square' .*'ardrone': .* --speed"):
         prepare_fleet(args, "127.99", tmp_path / "flight")
 
 
@@ -287,7 +288,7 @@ def test_a_course_that_cannot_keep_them_apart_is_refused_before_anything_flies(t
     small.write_text(yaml.safe_dump(dict(generated_fleet(8).to_dict(), arena={"half_x_m": 2.6, "half_y_m": 2.6})))
     with pytest.raises(ValueError, match="'knot'.* 8 "):
         prepare_fleet(arguments(["--fleet", str(small), "--vehicles", "8", "--trajectory", "knot"]), "127.99", tmp_path)
-    with pytest.raises(ValueError, match="1 to 250 vehicles"):
+    with pytest.raises(ValueError, match="1 to 250"):
         prepare_fleet(arguments(["--vehicles", "300"]), "127.99", tmp_path)
 
 
@@ -316,7 +317,7 @@ def test_a_flight_has_time_for_all_that_its_operator_does(tmp_path, demo, kind):
 
 def test_the_experiment_of_the_iris_wants_one(tmp_path):
     mixed = pathlib.Path(__file__).resolve().parents[3] / "launch/fleets/mixed3.yaml"
-    with pytest.raises(FlightError, match="first vehicle of fleet 'mixed3' is of type 'ardrone'"):
+    with pytest.raises(FlightError, match="'mixed3' .*'ardrone'"):
         prepare_fleet(arguments(["iris", "--fleet", str(mixed)]), "127.99", tmp_path)
 
 

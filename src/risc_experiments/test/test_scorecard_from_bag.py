@@ -141,7 +141,7 @@ def test_a_bag_becomes_a_file_of_faults(tmp_path):
 def test_a_bag_of_other_vehicles_is_refused_and_what_is_beyond_a_fault_is_as_much_as_it_can_be(tmp_path):
     path = tmp_path / "bad.bag"
     write_bag(path, recorded(), course_s=0.1)
-    with pytest.raises(ValueError, match="none of Crow, only .*fleet.yaml"):
+    with pytest.raises(ValueError, match="Crow.*fleet.yaml"):
         make_script(path, tmp_path / "faults.yaml", {"Crow": "risc1"})
     assert make_script(path, tmp_path / "faults.yaml", SPACES | {"Crow": "risc9"}) == ([], 0), "Crow was not there"
     recording = recorded(hears=lambda k: k < END)
@@ -161,4 +161,4 @@ def test_the_faults_of_a_bag_fly(tmp_path, capsys):
     write_bag(path, recorded(), course_s=0.1)
     with pytest.raises(SystemExit):
         command.main(options)
-    assert "shows no fault" in capsys.readouterr().err
+    assert str(path) in capsys.readouterr().err

