@@ -133,5 +133,5 @@ def test_what_is_written_is_a_templates_file(kind, tmp_path):
 
 def test_markers_on_a_line_are_no_vehicle():
     line_m = np.outer([0.0, 0.1, 0.3], [1.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="template Heron.*off one line"):
+    with pytest.raises(ValueError, match="Heron.* line"):
         template_text("Heron", "vehicle", ("a", "b", "c"), line_m)

@@ -238,12 +238,12 @@ class TransformTunerTest(unittest.TestCase):
         np.testing.assert_allclose(numbers_of(load_mount(str(self.path))), self.tf_numbers(), atol=1e-6)
         answer = self.call("risc2/save")
         self.assertFalse(answer.success)
-        self.assertIn("the fleet file names no camera_mount for risc2", answer.message)
+        self.assertIn("camera_mount for risc2", answer.message)
 
     def test_5_the_saved_file_is_what_transforms_uses(self):
         saved = numbers_of(load_mount(str(self.path)))
         self.drag(FRONT_MOUNT)
-        self.assertIn("the mount is the file's again", self.call("risc1/reset").message)
+        self.assertTrue(self.call("risc1/reset").success)
         self.until(lambda: np.allclose(self.tf_numbers(), saved, atol=1e-6), "what was saved")
         self.drag(FRONT_MOUNT)  # the tuner shows something else again
         # under the tuner's name, whose place it takes

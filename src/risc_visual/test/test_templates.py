@@ -284,11 +284,11 @@ def test_two_faces_are_two_and_no_face_is_none(finder, photograph):
 
 
 def test_a_missing_or_wrong_network_is_named(tmp_path):
-    with pytest.raises(ValueError, match="no face detection network .*nowhere.onnx"):
+    with pytest.raises(ValueError, match="nowhere.onnx"):
         FaceFinder(FaceSettings(model_file=str(tmp_path / "nowhere.onnx")))
     wrong = tmp_path / "wrong.onnx"
     wrong.write_bytes(b"no network")
-    with pytest.raises(ValueError, match="wrong.onnx is not a YuNet network"):
+    with pytest.raises(ValueError, match="wrong.onnx .*YuNet"):
         FaceFinder(FaceSettings(model_file=str(wrong)))
 
 
@@ -381,7 +381,7 @@ def test_camshift_says_lost_and_finds_again(photograph):
 @pytest.mark.parametrize("rectangle", [(0, 0, 0, 0), (600, 700, 50, 50), (-80, -80, 50, 50), (440, 560, 60, 30)])
 def test_camshift_refuses_a_rectangle_without_colour(photograph, rectangle):
     photograph[550:] = 128
-    with pytest.raises(ValueError, match="has no colour to follow"):
+    with pytest.raises(ValueError, match="colour"):
         CamshiftTracker(CamshiftSettings()).start(photograph, rectangle)
 
 

@@ -121,7 +121,7 @@ time.sleep(1000)
 def test_a_program_that_ends_is_told_with_its_last_words():
     with VirtualScreen(200, 100) as screen:
         screen.start([sys.executable, "-c", "raise SystemExit('no luck today')"])
-        with pytest.raises(ScreenError, match=r"has ended \(exit code 1\):\nno luck today"):
+        with pytest.raises(ScreenError, match=r"exit code 1\D*no luck today"):
             screen.steady_picture()
 
 
@@ -129,7 +129,7 @@ def test_a_program_that_ends_is_told_with_its_last_words():
 def test_an_empty_screen_is_no_picture():
     with VirtualScreen(200, 100) as screen:
         assert not shows_something(screen.picture())
-        with pytest.raises(ScreenError, match="shows nothing of what it should"):
+        with pytest.raises(ScreenError, match="shows nothing"):
             screen.steady_picture(steady_s=0.2, timeout_s=1.0)
 
 

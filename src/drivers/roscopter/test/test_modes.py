@@ -25,7 +25,7 @@ def test_the_modes_of_2014(name):
 
 
 def test_a_mode_that_there_is_not():
-    with pytest.raises(ValueError, match="ArduCopter has no mode MANUAL"):
+    with pytest.raises(ValueError, match="ArduCopter .*MANUAL"):
         mode_number("ArduCopter", "MANUAL")
 
 

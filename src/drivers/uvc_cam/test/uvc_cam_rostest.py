@@ -77,7 +77,7 @@ class UvcCamTest(unittest.TestCase):
     def test_1_a_folder_that_comes_late(self):
         images = Listener("/folder/camera/image_raw", Image)
         infos = Listener("/folder/camera/camera_info", CameraInfo)
-        self.wait_for_status("folder/", 2, "there is no")
+        self.wait_for_status("folder/", 2, "/pictures")
         time.sleep(2.5)  # two more tries
         self.assertEqual(len(self.complaints("/pictures (")), 1, "one error, however often it is tried")
         self.assertEqual(len(images.messages), 0)
@@ -132,14 +132,14 @@ class UvcCamTest(unittest.TestCase):
         self.assertEqual(client.get_configuration(LIMIT_S).camera_name, "folder_camera")
         images.wait_for(lambda m: True, "more pictures", len(images.messages))
         client.update_configuration({"loop": False})
-        self.wait_for_status("folder/", 0, "clip.avi is at its end")
+        self.wait_for_status("folder/", 0, "clip.avi")
         client.update_configuration({"loop": True})
         self.wait_for_status("folder/", 0, "OK")
 
     def test_5_a_source_that_vanishes_is_told_and_taken_up_again(self):
         path = self.files / "clip.avi"
         os.rename(str(path), str(path) + ".away")
-        self.wait_for_status("video/", 2, "there is no")
+        self.wait_for_status("video/", 2, "clip.avi")
         os.rename(str(path) + ".away", str(path))
         self.wait_for_status("video/", 0, "OK")
 
