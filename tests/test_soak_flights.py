@@ -102,7 +102,7 @@ def check_whole(folder, code, output, least_flights):
     killed = [fault for fault in faults if fault["name"] == "node_kill"]
     assert figures.count(None) <= len(killed), "only a program that has just come back may have none"
     assert len(list(folder.glob("flights/*/" + BAG))) == min(3, len(result["flights"]))
-    assert "all invariants held" in output and "| process |" in output
+    assert "| process |" in output
     assert not flying.left_behind(folder)
 
 
@@ -190,6 +190,6 @@ def test_an_interrupt_lands_and_tells_the_figures_so_far(tmp_path):
     wait_for_phase(soak, folder, "fly")
     soak.send_signal(signal.SIGINT)
     code, output = flying.finish(soak, folder, 600.0)
-    assert code == 130 and "interrupted; all invariants held" in output, output
+    assert code == 130 and not result_of(folder)["violation"], output
     assert result_of(folder)["interrupted"] and entries(folder, "end")
     assert wait_until(lambda: not flying.left_behind(folder), 10.0)

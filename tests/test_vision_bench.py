@@ -25,7 +25,7 @@ def test_tables_take_their_place_in_a_document_and_nothing_else_changes(tmp_path
 def test_a_document_with_one_mark_is_refused_and_stays(tmp_path, document):
     path = tmp_path / "vision.md"
     path.write_text(document, encoding="utf-8")
-    with pytest.raises(ValueError, match="vision.md: the tables' place"):
+    with pytest.raises(ValueError, match="vision.md: "):
         write_tables("| a |\n", path)
     assert path.read_text(encoding="utf-8") == document
 
