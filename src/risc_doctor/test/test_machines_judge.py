@@ -76,7 +76,7 @@ def test_chrony_that_follows_another_is_told():
 
 def told(**changes):
     """What echo on risc2 prints when all is well, changed."""
-    return {"master_uri": MASTER, "trouble": "", "uri": "http://127.0.0.9:40000", **changes}
+    return {"master_uri": MASTER, "trouble": "", "name_unknown": False, "uri": "http://127.0.0.9:40000", **changes}
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def told(**changes):
     [
         ({}, "", "good", []),
         ({"trouble": "no answer from 127.0.0.1:5000"}, "", "not_there", ["127.0.0.1:5000", "allow from 127.0.0.9"]),
-        ({"trouble": "the name base cannot be resolved"}, "", "name_unknown_there", ["risc2: the name base", "ROS_IP"]),
+        ({"trouble": "base?", "name_unknown": True}, "", "name_unknown_there", ["risc2: base?", "ROS_IP"]),
         ({}, "no answer from 127.0.0.9:40000", "not_here", ["127.0.0.9:40000", "sudo ufw allow"]),
         ({"uri": "http://10.0.0.99:40000"}, "no answer", "other_address", ["10.0.0.99", "127.0.0.9", "ROS_IP"]),
         ({"master_uri": "http://127.0.0.1:9"}, "", "other_uri", ["http://127.0.0.1:9", "devel/coop.sh"]),

@@ -31,7 +31,7 @@ def check(session, here):
                 if there is None:
                     last = channel.makefile_stderr("r").read().strip().splitlines() or ["it printed nothing"]
                     return Findings("topics").say("no_program", reason=last[-1])
-                return judge(session.computer, uri, there, trouble_with(there["uri"]))
+                return judge(session.computer, uri, there, trouble_with(there["uri"])[0])
             except TimeoutError:
                 return Findings("topics").say("no_program", reason="it takes too long")
 
@@ -52,7 +52,7 @@ def judge(computer, uri, there, trouble):
         return found.say("other_uri", uri=there["master_uri"])
     host = urlsplit(there["uri"]).netloc.rpartition(":")[0]  # .hostname would be in small letters
     if there["trouble"]:
-        code = "name_unknown_there" if "resolved" in there["trouble"] else "not_there"
+        code = "name_unknown_there" if there["name_unknown"] else "not_there"
         found.say(code, cause=there["trouble"], **values)
     if trouble:
         code = "not_here" if host in _addresses(computer.address) else "other_address"
@@ -68,17 +68,19 @@ def _addresses(name):
 
 
 def trouble_with(uri):
-    """Why no program answers at http://HOST:PORT/ as seen from this computer; "" when one does."""
+    """(why no program answers at http://HOST:PORT/ as seen from this computer, whether nobody knows HOST's name); ""
+    when one does.
+    """
     parts = urlsplit(uri)
     try:
         socket.create_connection((parts.hostname, parts.port), _REACH_S).close()
     except socket.gaierror:
-        return "the name %s cannot be resolved" % parts.hostname
+        return "the name %s cannot be resolved" % parts.hostname, True
     except TimeoutError:
-        return "no answer from %s" % parts.netloc
+        return "no answer from %s" % parts.netloc, False
     except OSError as error:
-        return "%s: %s" % (parts.netloc, error.strerror or error)
-    return ""
+        return "%s: %s" % (parts.netloc, error.strerror or error), False
+    return "", False
 
 
 def main(limit_s):
@@ -86,7 +88,9 @@ def main(limit_s):
     with socket.create_server(("", 0)) as server:
         master_uri = os.environ["ROS_MASTER_URI"]
         own_uri = "http://%s:%d" % (get_host_name(), server.getsockname()[1])  # as a node tells it to its master
-        print(json.dumps({"master_uri": master_uri, "trouble": trouble_with(master_uri), "uri": own_uri}), flush=True)
+        trouble, name_unknown = trouble_with(master_uri)
+        told = {"master_uri": master_uri, "trouble": trouble, "name_unknown": name_unknown, "uri": own_uri}
+        print(json.dumps(told), flush=True)
         server.settimeout(limit_s)
         with contextlib.suppress(TimeoutError):
             server.accept()[0].close()
