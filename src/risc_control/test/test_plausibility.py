@@ -165,6 +165,24 @@ def test_after_a_gap_the_first_state_is_believed(gap_s):
     assert all(believed.all() for believed in fleet.run(0.2))
 
 
+@pytest.mark.parametrize(("tilt_deg", "believed"), [(60.0, True), (80.0, False)])
+def test_none_is_seen_at_a_tilt_that_none_can_fly_however_long_it_was_not_seen(tilt_deg, believed):
+    """A pose with y for z, which an estimator believes when nothing speaks against it any more."""
+    fleet = Fleet(kind="iris")
+    fleet.time_s += 2.0
+
+    def tilt(states):
+        states[0, S.PHI] += math.radians(tilt_deg)
+
+    fleet.lie = tilt
+    seen = fleet.run(12.0)
+    assert [look[0] for look in seen] == [believed] * len(seen) and seen[-1][1]
+    if not believed:
+        assert fleet.judge.doubt("v0") == Doubt.STEEP
+        fleet.lie = lambda states: None
+        assert fleet.run(0.3)[-1][0]
+
+
 def test_stamps_that_stand_or_go_back():
     fleet = Fleet()
     fleet.step_s = 0.0

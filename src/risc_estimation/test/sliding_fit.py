@@ -15,7 +15,7 @@ class SlidingFit(Windows):
 
     def push(self, stamp_s, values, present=None):
         present = np.ones(len(self.window.bodies), dtype=bool) if present is None else present
-        push_samples(self.window, float(stamp_s), np.array(values, dtype=float), present)
+        push_samples(self.window, float(stamp_s), np.array(values, dtype=float), present, np.zeros_like(present))
 
     def estimate(self, bodies=None):
         """Value and slope (bodies, channels), samples (bodies,) used, span_s (bodies,) of all, or of the given."""

@@ -31,6 +31,7 @@ from risc_estimation.identity import PATH, agrees, begin, follow, predict
 from risc_estimation.pose_fit import PoseFit, PoseFitParams
 from risc_estimation.rigid_fit import POSE
 from risc_estimation.state_estimator import StatesEstimator
+from risc_lab.states import S
 
 FILTERS = "least_squares", "ekf"
 VEHICLES = "fluffy_II", "IRIS"
@@ -245,6 +246,27 @@ def test_after_false_places_the_truth_is_believed_at_once(inputs, false_s):
             shown += false and estimator.poses.present[row]
             assert false or estimator.poses.present[row], (seed, k)
         assert (shown > 0) == (false_s > 0.3), "what stays for longer than the memory is believed"
+
+
+@pytest.mark.parametrize("off_m", [0.3, 9.0])
+def test_no_velocity_is_made_of_false_places_and_true_ones(off_m):
+    """False places are believed when they stay; outside of the arena nobody is shown them, but windows have them."""
+    truth, estimator, rng = truth_of(3), StatesEstimator(TEMPLATES, None, NAMES), np.random.default_rng(3)
+
+    def lie(bodies):
+        bodies["Raven"] += [0.0, off_m, 0.0]
+
+    shown = []
+    for k in range(100, 500):
+        markers_m = truth.markers_m[k] + rng.normal(0.0, NOISE_M, truth.markers_m[k].shape)
+        if 200 <= k < 400:
+            lie(truth.bodies(markers_m))
+        estimate, row = estimator.update(k * DT_S, truth.layout, markers_m), NAMES.index("Raven")
+        if k >= 400 and estimate.visible[row]:
+            shown.append(k)
+            true_m_s = (truth.positions_m[k, row] - truth.positions_m[k - 2, row]) / (2.0 * DT_S)
+            assert np.abs(estimate.states[row, S.U : S.PHI] - true_m_s).max() < 0.5, k
+    assert shown == [*range(shown[0], 500)] and shown[0] < 415
 
 
 def test_after_an_outage_places_are_judged_as_before():

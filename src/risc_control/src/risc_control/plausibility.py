@@ -7,7 +7,8 @@ the vehicle can do in the time T between them. Of a vehicle whose acceleration i
     |step of its velocity| <= A T,    |step of its position - T * mean of both velocities| <= A T^2 / 4,
 
 the second one with equality when it accelerates one way for T/2 and the other way for the rest. Roll and pitch turn no
-faster than its attitude loops do, yaw no faster than full scale (`reach_of`). What estimators make of the noise of
+faster than its attitude loops do, yaw no faster than full scale (`reach_of`), and none flies tilted by more than
+`_TILT_MAX_RAD`, however long it was not seen. What estimators make of the noise of
 motion capture comes on top (`suspect_position_m` and others of `SafetyLimits`). A position that is the very same as in
 the state before is not a measurement: however still a vehicle is, its markers are measured anew.
 
@@ -36,7 +37,7 @@ from risc_lab.states import S
 class Doubt(enum.IntEnum):
     """What a suspect state contradicts."""
 
-    NONE, POSITION, VELOCITY, TILT, YAW, FROZEN, EXCHANGED = range(7)
+    NONE, POSITION, VELOCITY, TILT, YAW, FROZEN, EXCHANGED, STEEP = range(8)
 
 
 _TEXTS = {
@@ -45,9 +46,10 @@ _TEXTS = {
     Doubt.TILT: "its roll or pitch jumped by {misfit:.0f} deg (limit {most:.0f} deg)",
     Doubt.YAW: "its yaw jumped by {misfit:.0f} deg (limit {most:.0f} deg)",
     Doubt.FROZEN: "motion capture repeats the same position",
+    Doubt.STEEP: "seen tilted by {misfit:.0f} deg, which none can fly (limit {most:.0f} deg)",
     Doubt.EXCHANGED: "seen where {other} was, and {other} where it was: motion capture has exchanged their names",
 }
-_POSITION, _VELOCITY, _TILT, _YAW, _FROZEN, _EXCHANGED = map(int, list(Doubt)[1:])  # for compiled code
+_POSITION, _VELOCITY, _TILT, _YAW, _FROZEN, _EXCHANGED, _STEEP = map(int, list(Doubt)[1:])  # for compiled code
 _AGREEING = 4  # steps: 67 ms at 60 looks a second,
 _SLOWLY = 12  # where its velocity is another one than before: it may be made of false places for so long
 _GROW_S = 0.05  # the limits around where the last good state leads grow for so long only
@@ -153,7 +155,7 @@ class Plausibility:
         if doubt is Doubt.NONE:
             return ""
         vehicle = self._vehicles[self._index[name]]
-        angle = doubt in (Doubt.TILT, Doubt.YAW)
+        angle = doubt in (Doubt.TILT, Doubt.YAW, Doubt.STEEP)
         misfit, most = (math.degrees(value) if angle else value for value in (vehicle.misfit, vehicle.most))
         return _TEXTS[doubt].format(misfit=misfit, most=most, other=self._names[vehicle.other])
 
@@ -249,6 +251,7 @@ def _contradicts(reach, before, state, step_s, reach_s, noise):
         (_VELOCITY, abs(state[S.W] - before[S.W]), blur_m_s + reach.up_m_s2 * reach_s),
         (_TILT, tilt_rad, turn_rad),
         (_YAW, yaw_rad, reach.yaw_rad_s * reach_s + noise.angle_rad),
+        (_STEEP, math.acos(math.cos(state[S.PHI]) * math.cos(state[S.THETA])), _TILT_MAX_RAD),
     ):
         if misfit > most and misfit * its_most > worst * most:
             doubt, worst, its_most = what, misfit, most

@@ -28,7 +28,7 @@ class GivenPoses:
 
     def __init__(self):
         self.stamp_s, self.names = -math.inf, ()
-        self.flags, self.measured = np.zeros((2, 0), dtype=bool), np.zeros((2, 0, 3))
+        self.flags, self.measured = np.zeros((3, 0), dtype=bool), np.zeros((2, 0, 3))
         self.stamps_s, self.residual_m = np.zeros(0), np.zeros(0)
         self.rotation, self._covariances = np.zeros((0, 3, 3)), np.zeros((0, 6, 6))
         self._has_attitude = np.zeros(0, dtype=bool)  # not of an attached body

@@ -108,10 +108,11 @@ class Windows:
 
 
 @compiled
-def push_samples(window, stamp_s, values, present):
+def push_samples(window, stamp_s, values, present, anew):
     """Add one frame at stamp_s [s], later than the frame before.
 
-    values: (bodies, channels) [unit]; present: (bodies,) bool: who has a sample, the values of others are ignored.
+    values: (bodies, channels) [unit]; present: (bodies,) bool: who has a sample, the values of others are ignored;
+    anew: (bodies,) bool: whose window starts afresh with it.
     """
     fit = window.fit[0]
     slot = fit.frames % fit.capacity
@@ -122,7 +123,7 @@ def push_samples(window, stamp_s, values, present):
         if not here:
             body.gapless = 0
         else:
-            if stamp_s - body.last_s > fit.max_gap_s:
+            if anew[i] or stamp_s - body.last_s > fit.max_gap_s:
                 window.present[i, :] = False
                 body.gapless = 0
             body.gapless += 1

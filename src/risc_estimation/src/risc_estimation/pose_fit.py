@@ -142,6 +142,7 @@ BODY = record(
     ("place", int),  # row of the body whose name its markers have: its own, unless names are exchanged
     ("moved", bool),  # it has just been given the markers of another name
     ("known", bool),  # it was seen lately, before the newest frame
+    ("elsewhere", bool),  # its pose in the newest frame is believed although it contradicts those before
     ("doubt", int),  # about its pose in the newest frame
     "stamp_s residual_m",  # of its newest pose
     ("rotation", float, (3, 3)),
@@ -157,7 +158,7 @@ class _Bodies(NamedTuple):
     # (bodies, most markers, 4): its coordinates when it was seen last [m], in how many frames before that, too
     newest: np.ndarray
     used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
-    flags: np.ndarray  # (2, bodies) bool: present, inside
+    flags: np.ndarray  # (3, bodies) bool: present, inside, elsewhere
     measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
     paths: np.ndarray  # (bodies, 3) PATH: `identity` explains them
 
@@ -191,8 +192,8 @@ class Poses:
 
     A body whose markers were not believed is not present (for a filter with a gate of its own, one that has jumped is
     present); it keeps the numbers, and the stamp, of its last pose that was believed. Bodies join at the end, when they
-    are first seen. `flags` (2, n) is `present` and `inside`, `measured` (2, n, 3) `position_m` and `angles_rad`: for
-    compiled code, where every array that is passed costs time.
+    are first seen. `flags` (3, n) is `present`, `inside` and `elsewhere`, `measured` (2, n, 3) `position_m` and
+    `angles_rad`: for compiled code, where every array that is passed costs time.
     """
 
     def __init__(self, bodies, marker_noise_m):
@@ -204,7 +205,8 @@ class Poses:
     def take(self, bodies):
         """Have these arrays, which are filled again with every frame."""
         self._bodies, self.flags, self.measured = bodies, bodies.flags, bodies.measured
-        self.present, self.inside = bodies.flags  # (n,) bool: the newest frame gave a pose; and it is inside the arena
+        # (n,) bool: the newest frame gave a pose; it is inside the arena; it is elsewhere than those before it
+        self.present, self.inside, self.elsewhere = bodies.flags
         # (n, 3) of the template's origin [m]; (n, 3) roll pitch yaw [rad] without jumps of whole turns, 0 of what is
         # attached
         self.position_m, self.angles_rad = bodies.measured
@@ -273,7 +275,7 @@ class PoseFit:
             templates_m=np.zeros((0, most, 3)),
             newest=np.zeros((0, most, 4)),
             used=np.zeros((0, most), dtype=bool),
-            flags=np.zeros((2, 0), dtype=bool),
+            flags=np.zeros((3, 0), dtype=bool),
             measured=np.zeros((2, 0, 3)),
             paths=np.zeros((0, 3), dtype=PATH),
         )
@@ -454,6 +456,7 @@ def _fit_frame(
     for i in range(len(table)):
         doubt = table[i].doubt
         flags[0, i] = flags[1, i] = doubt == NONE or doubt == JUMP and gates.shows_jumps
+        flags[2, i] = table[i].elsewhere
         for axis in range(3):
             if flags[1, i] and not gates.lower_m[axis] <= measured[0, i, axis] <= gates.upper_m[axis]:
                 refusals.outside += 1
@@ -521,7 +524,7 @@ def _locate(body, template, markers, newest, used, measured, paths, residuals_m,
     count = see_markers(markers, fixed.gates, used)
     frozen = _leave_frozen(newest, markers, fixed.gates, used)
     count, fixed.refusals.markers_frozen = count - frozen, fixed.refusals.markers_frozen + frozen
-    body.known = is_known(paths, stamp_s, fit.reach)
+    body.known, body.elsewhere = is_known(paths, stamp_s, fit.reach), False
     if body.known:
         foresee(paths, stamp_s, fit.reach, fit.ahead, fit.near, fit.aside)
     if count < MIN_MARKERS:
@@ -574,6 +577,7 @@ def _recover(body, template, markers, loose_m, newest, used, measured, paths, sc
         _believe(body, paths, measured, stamp_s, left, fit)
     elif contradict(paths, stamp_s, fit.pose, left, body.has_attitude, fit.reach, fit.ahead):
         _keep(body, measured, stamp_s, fit.pose)
+        body.elsewhere = True
     else:
         doubt = JUMP
         if fixed.gates.shows_jumps:

@@ -44,7 +44,7 @@ class Filter(VelocityFilter):
 
     That is `min_samples` that span `min_span_s`: the tenth frame at 200 Hz after a restart; a line then has 44 mm/s of
     noise for 2 mm positions. Dropouts up to `max_gap_s` do not restart the windows: the fit runs on real stamps, so the
-    vehicle is visible again with its first good frame.
+    vehicle is visible again with its first good frame. A pose that is elsewhere than those before restarts them.
     """
 
     PARAMS = Params
@@ -55,7 +55,7 @@ class Filter(VelocityFilter):
         kinds = (params.position_window_s, params.position_order), (params.angle_window_s, params.angle_order)
         self._windows = Windows(kinds, 3, params.max_gap_s, params.max_rate_hz)
         self._collect()
-        _update(0.0, np.zeros((2, 0), dtype=bool), np.zeros((2, 0, 3)), *self._arguments)  # loads the compiled code
+        _update(0.0, np.zeros((3, 0), dtype=bool), np.zeros((2, 0, 3)), *self._arguments)  # loads the compiled code
 
     def add_body(self, template, vehicle_type=None):
         super().add_body(template)
@@ -80,12 +80,12 @@ def _update(
     fits, bodies, stamps_s, samples, values, weights, estimates,
 ):  # fmt: skip
     """One frame: fills visible and states. After `Poses`: arrays of the filter, then those of its Windows."""
-    present, inside = flags[0], flags[1]
+    present, inside, elsewhere = flags[0], flags[1], flags[2]
     if len(present) == 0:
         return
     for k in range(2):
         window = Window(fits[k], bodies[k], stamps_s[k], samples[k], values[k], weights[k], estimates[k])
-        push_samples(window, stamp_s, measured[k], present)
+        push_samples(window, stamp_s, measured[k], present, elsewhere)
         estimate_newest(window, present)
     smooth_position, smooth_angles = settings[0].smooth_position, settings[0].smooth_angles
     for i in range(len(present)):
