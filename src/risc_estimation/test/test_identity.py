@@ -188,6 +188,19 @@ def test_who_was_out_of_sight_for_long_is_who_motion_capture_says():
     assert estimator.counts.exchanges == 1
 
 
+def test_where_all_that_is_seen_is_false_no_name_is_exchanged(inputs):
+    """y for z: of a body that was not seen for long the prediction has become so wide that others may fit by chance."""
+    for seed in range(inputs(12, 40)):
+        truth, rng = truth_of(seed), np.random.default_rng(seed)
+        estimator = StatesEstimator(TEMPLATES, None, NAMES)
+        for k in range(330):
+            markers_m = truth.markers_m[k] + rng.normal(0.0, NOISE_M, truth.markers_m[k].shape)
+            if 100 <= k < 230:
+                markers_m = markers_m[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+            estimator.update(k * DT_S, truth.layout, markers_m)
+        assert estimator.counts.exchanges == 0, seed
+
+
 def test_one_name_is_taken_by_another_while_its_own_vehicle_is_hidden():
     """Raven's label goes to fluffy_II, whose own has nothing; Raven is not seen at all."""
     rng, estimator = np.random.default_rng(3), StatesEstimator(TEMPLATES, None, NAMES)

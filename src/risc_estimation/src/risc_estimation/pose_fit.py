@@ -396,6 +396,7 @@ class PoseFit:
             others_m = np.concatenate([np.delete(among_m[row], column), np.delete(among_m[:, column], row)])
             if among_m[row, column] < _CLEAR * others_m.min(initial=math.inf):
                 taken[int(rows[row])] = int(columns[column])
+        self._leave_one_sided(taken)
         places = table["place"].tolist()
         given = {mine: places[other] for mine, other in taken.items()}
         left = {places[mine] for mine in taken} - set(given.values())
@@ -409,6 +410,20 @@ class PoseFit:
         new = [(self.names[mine], self.names[given[mine]]) for mine in taken if given[mine] != mine]
         self.exchanged.update(new)
         self._fixed["refusals"]["exchanges"] += bool(new)
+
+    def _leave_one_sided(self, taken):
+        """Take out of taken, {body: the one whose markers it gets}, what is no exchange: a body that is seen and known,
+        too, would lose its markers to one whose own nobody takes. What fits then is chance, where all that is seen is
+        false.
+        """
+        table = self._bodies.table
+        while True:
+            own = set(taken) - set(taken.values())
+            wrong = [mine for mine in own if table["doubt"][mine] != UNSEEN and table["known"][taken[mine]]]
+            if not wrong:
+                return
+            for mine in wrong:
+                del taken[mine]
 
 
 def _with_row(table):
