@@ -11,6 +11,8 @@ from risc_control.safety import FailsafeLevel, Rule
 from risc_control.separation import Look
 from risc_control.vehicle_pilot import VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import ON_GROUND, FlightState, Status
+from risc_lab.lab.vehicle_types import own_numbers
+from risc_lab.radio_sticks import RadioSticks
 
 LOWEST = (0.0, 0.0, -1.0, 0.0)
 ERRORS = [0.88, 1.0, 1.12]  # of the thrust: as far as the virtual lab's vehicles go
@@ -161,20 +163,28 @@ def test_from_motion_it_comes_to_a_stop():
 
 
 def test_while_the_next_state_may_only_be_late_it_is_level():
-    def tilts(*lost):
+    def flown_without(*lost):
+        """(time of the hold, the commands from the last one before it on)."""
         desk = flown(more=1.0)
         desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=-0.05)
         desk.run(1.5)
         desk.alive -= set(lost)
-        begin = len(desk.sent)
         assert desk.run(0.3, lambda: desk.pilot.ladder.verdict.rule == Rule.STATE)
         held_s = desk.now_s
         desk.run(0.3)
-        return [(time_s - held_s, abs(sticks.forward)) for time_s, sticks in desk.sent[begin:] if time_s >= held_s]
+        first = next(k for k, (time_s, _) in enumerate(desk.sent) if time_s >= held_s)
+        return held_s, desk.sent[first - 1 :]
+
+    def tilts(*lost):
+        held_s, sent = flown_without(*lost)
+        return [(time_s - held_s, abs(sticks.forward)) for time_s, sticks in sent[1:]]
 
     late = tilts("frames")
     assert {tilt for after_s, tilt in late if after_s < vehicle_pilot._WAITS_S} == {0.0}
     assert max(tilt for _, tilt in late) > 0.2, "then it is braked"
+    _, [(before_s, before), (at_s, first), *_] = flown_without("state")
+    most = own_numbers(IRIS, RadioSticks).stick_rate_1_s * (at_s - before_s)
+    assert abs(first.forward - before.forward) == pytest.approx(most), "as fast as its board follows, at once"
     assert tilts("state")[1][1] > 0.2, "one that motion capture says not to see is braked at once"
 
 

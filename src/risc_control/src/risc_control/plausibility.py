@@ -8,9 +8,9 @@ the vehicle can do in the time T between them. Of a vehicle whose acceleration i
 
 the second one with equality when it accelerates one way for T/2 and the other way for the rest. Roll and pitch turn no
 faster than its attitude loops do, yaw no faster than full scale (`reach_of`), and none flies tilted by more than
-`_TILT_MAX_RAD`, however long it was not seen. What estimators make of the noise of
-motion capture comes on top (`suspect_position_m` and others of `SafetyLimits`). A position that is the very same as in
-the state before is not a measurement: however still a vehicle is, its markers are measured anew.
+`_TILT_MAX_RAD`, however long it was not seen. What estimators make of the noise of motion capture comes on top
+(`suspect_position_m` and others of `SafetyLimits`). A position that is the very same as in the state before is not a
+measurement: however still a vehicle is, its markers are measured anew.
 
 A state that contradicts is suspect, and so are those after it. They are believed again after `_AGREEING` steps in a row
 that do not contradict (`_SLOWLY` where their velocity has changed), when that track began where the vehicle can have
