@@ -1,12 +1,14 @@
 """Whatever a controller commands, no vehicle flies into the net: simulated flights with perturbed plant, link, node."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from risc_control.plausibility import Plausibility
 from risc_control.separation import ALONE
 from risc_control.vehicle_pilot import VehicleNodeParams
-from risc_control.vehicles import Command, ControlsConverter, greatest_command
+from risc_control.vehicles import Command, ControlsConverter, greatest_command, iris
 from risc_experiments import offline
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import load_templates
@@ -18,9 +20,13 @@ ONE = np.ones(1, dtype=bool)
 NOISE = np.repeat((0.0005, 0.01, 0.005, 0.0), 3)  # of states, as the default estimator has it
 
 
-def fly(kind, seed, delay_s, duration_s=20.0, wild=True, **node):
-    """Fly by full tilts that change once or twice a second; wild=False: always to the same side. Returns (crashes,
-    what the ladder said, least distance of the centre from the net).
+SIDE = ((1.0, 0.0),)  # always to the same side
+ANY = (-1.0, 0.0, 1.0)
+
+
+def fly(kind, seed, delay_s, duration_s=8.0, tilts=tuple(product(ANY, ANY)), weights=(0.9, 1.1), **node):
+    """Fly by what changes once or twice a second: roll and pitch, one of these shares of full tilt, and a thrust
+    between these [weights]. Returns (crashes, what the ladder said, least distance of the centre from the net).
     """
     rng = np.random.default_rng(seed)
     flight = offline.Flight(vehicles=1, seed=seed, delay_s=delay_s, types=(kind,))
@@ -32,7 +38,7 @@ def fly(kind, seed, delay_s, duration_s=20.0, wild=True, **node):
     wires = Wires(seed)
     chain = offline.Chain(vehicle, rng.random(), 1.0, params, wires, lambda *_: None, lambda *_: None)
     judge, most, change_s, least_m = Plausibility({"v": vehicle_type}, params), greatest_command(vehicle_type), 1.0, 9.0
-    hover_n, tilts, up = vehicle_type.mass_kg * GRAVITY_M_S2, np.zeros(2), 1.0
+    hover_n, tilt, up = vehicle_type.mass_kg * GRAVITY_M_S2, (0.0, 0.0), 1.0
     for frame in range(round(duration_s / offline.FRAME_S)):
         time_s = frame * offline.FRAME_S
         now_s = time_s + offline.LATENCY_S
@@ -43,9 +49,9 @@ def fly(kind, seed, delay_s, duration_s=20.0, wild=True, **node):
         if time_s >= 1.0 and not chain.pilot.autonomous and not chain.said:
             chain.press_autonomous(now_s)
         if time_s >= change_s:
-            change_s = time_s + rng.uniform(0.4, 1.2) if wild else np.inf
-            tilts, up = rng.choice((-1.0, 0.0, 1.0), 2) if wild else np.array([1.0, 0.0]), rng.uniform(0.9, 1.1)
-        command = Command(most.roll_rad * tilts[:1], most.pitch_rad * tilts[1:], np.zeros(1), np.full(1, hover_n * up))
+            change_s = time_s + rng.uniform(0.4, 1.2)
+            tilt, up = rng.choice(tilts), rng.uniform(*weights)
+        command = Command(*np.array([[most.roll_rad * tilt[0], most.pitch_rad * tilt[1], 0.0, hover_n * up]]).T)
         controls, _ = converter(command, ONE, ~ONE)
         suspects = () if judge.look(("v",), ONE, x, time_s).all() else [judge.reason("v")]
         offline.step_chains([chain], frame, time_s, now_s, States(ONE, x), controls, [ALONE], suspects)
@@ -54,12 +60,38 @@ def fly(kind, seed, delay_s, duration_s=20.0, wild=True, **node):
     return list(world.crashes), chain.said, least_m
 
 
-@pytest.mark.parametrize(("kind", "delay_s"), [("ardrone", 0.1), ("ardrone", 0.3), ("iris", 0.05)])
-@pytest.mark.parametrize("wild", [True, False])
-def test_a_wild_controller_never_leaves_the_net(kind, delay_s, wild, inputs):
-    for seed in range(inputs(1, 3)):
-        crashes, said, least_m = fly(kind, seed, delay_s, wild=wild)
-        assert not crashes and least_m > 0.0, (crashes, said)
+@pytest.mark.parametrize(("kind", "delay_s", "seeds"), [("ardrone", 0.1, 4), ("ardrone", 0.3, 4), ("iris", 0.05, 30)])
+def test_a_wild_controller_never_leaves_the_net(kind, delay_s, seeds, inputs):
+    for seed in range(inputs(seeds, 100)):
+        crashes, said, least_m = fly(kind, seed, delay_s)
+        assert not crashes and least_m > 0.0, (seed, crashes, said)
         assert said
-    crashes, *_ = fly(kind, 0, delay_s, wild=wild, ladder=False)
+    crashes, *_ = fly(kind, 0, delay_s, duration_s=20.0, ladder=False)
     assert crashes and "net" in crashes[0].reason
+
+
+@pytest.mark.parametrize(("kind", "delay_s"), [("ardrone", 0.1), ("ardrone", 0.3), ("iris", 0.05)])
+def test_nor_does_one_that_pushes_to_one_side(kind, delay_s, inputs):
+    for seed in range(inputs(2, 20)):
+        crashes, said, least_m = fly(kind, seed, delay_s, tilts=SIDE)
+        assert not crashes and least_m > 0.0, (seed, crashes, said)
+        assert said
+    crashes, *_ = fly(kind, 0, delay_s, duration_s=20.0, tilts=SIDE, ladder=False)
+    assert crashes and "net" in crashes[0].reason
+
+
+@pytest.mark.parametrize("weights", [0.0, 0.5, 0.7, 1.2, 1.5, 2.0])
+def test_no_thrust_brings_an_iris_to_net_or_floor(weights, inputs, monkeypatch):
+    for seed in range(inputs(2, 20)):
+        crashes, said, _ = fly("iris", seed, 0.05, tilts=((0.0, 0.0),), weights=(weights, weights))
+        assert not crashes and said, (seed, crashes, said)
+    # the control arm: without the ladder, and without the limit of its climb rate
+    monkeypatch.setattr(iris, "_CLIMB_SHARE", np.inf)
+    crashes, *_ = fly("iris", 0, 0.05, tilts=((0.0, 0.0),), weights=(weights, weights), ladder=False)
+    assert crashes
+
+
+def test_nor_does_an_iris_with_a_wild_thrust(inputs):
+    for seed in range(inputs(10, 100)):
+        crashes, said, _ = fly("iris", seed, 0.05, weights=(0.0, 2.0))
+        assert not crashes, (seed, crashes, said)

@@ -163,7 +163,7 @@ class SafetyLadder:
         self.suspect, self._suspect_s = reason, now_s
 
     def note_command(self, finite, saturated, now_s):
-        """The controller has sent a command. finite: of numbers.  saturated: to tilt by full scale."""
+        """The controller has sent a command. finite: of numbers.  saturated: of a full scale of tilt or thrust."""
         if not finite:
             self._not_finite_s = now_s
         # while another rule holds the vehicle its reference goes on, and full tilt is to be expected
@@ -326,7 +326,7 @@ class SafetyLadder:
         if limits.saturated_land_s and self._saturated.lasts(0.5 * limits.saturated_land_s):
             level = _LAND if self._saturated.lasts(limits.saturated_land_s) else _HOLD
             if level > hold[0]:
-                reason = "the controller commands full tilt for more than %.2g s"
+                reason = "the controller commands full tilt or thrust for more than %.2g s"
                 hold = level, Rule.CONTROLS, reason % (0.5 * level * limits.saturated_land_s), None
             if level == _LAND:
                 return hold

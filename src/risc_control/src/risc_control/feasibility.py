@@ -191,7 +191,7 @@ def _excess(derivatives, vehicle_type, fence):
         if not values[k] <= limit * (1.0 + 1e-6):
             return "it asks for a %s of %.3g %s, a course may for %.3g" % (what, values[k], unit, limit), k
     for k in range(0, len(position), _FENCE_EVERY):
-        pushes = [(*push[k], 0.0) for push in (level[0], *commands)]
+        pushes = [(*push[k], derivatives[Order.ACCELERATION, k, Axis.Z]) for push in (level[0], *commands)]
         if fence.leaves(position[k, : Axis.PSI], velocity[k, : Axis.PSI], pushes):
             return "at %.2f m/s it could not stop inside the fence" % np.linalg.norm(velocity[k, : Axis.PSI]), k
     return None

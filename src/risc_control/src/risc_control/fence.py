@@ -6,22 +6,26 @@ Towards each side of that room, at the speed v and the acceleration a outwards, 
     d = v t + a p (t - p/2) + (v + a p)^2 / (2 b)
 
 t is the time until it brakes fully: the ladder looks and is sure (`fence_delay_s`), the command waits for its turn, it
-comes through the link, and the attitude loop turns the tilt over; p is the same with half the turn. a is what its tilt
-makes, or the tilt that it was told last if that is worse. b is a part of what the tilt makes with which it is braked
-(`braking`), of a vehicle that does not fly itself that of the place that is held (`hover`). Upwards a is 0, and its
-climb loop brakes. All that is the type's data.
+comes through the link, and the attitude loop turns the tilt over; p is the same with half the turn. Where commands
+change at a limited rate (`Adapter.swing_s`), both are longer by that. a is what its tilt makes, or the tilt that it was
+told last if that is worse. b is a part of what the tilt makes with which it is braked (`braking`), of a vehicle that
+does not fly itself that of the place that is held (`hover`).
+
+Upwards a is 0, and its climb loop brakes. One that does not fly itself has none: a is what its thrust makes, and the
+floor is a side of the room, too. All that is the type's data.
 """
 
 import math
 
 from risc_control.braking import TILT_RAD
-from risc_control.hover import PLACE_M_S2, PLACE_UP_M_S2
+from risc_control.hover import PLACE_M_S2, STOPS_UP_M_S2
 from risc_control.vehicles import adapter_class, greatest_command
 from risc_lab.frames import GRAVITY_M_S2
 
 _LOOK_S = 1.0 / 60.0
 _TURNS = 1.5  # times 2 zeta / wn, by which an attitude loop lags behind: until a tilt is turned over
 _STILL = ((0.0,), (0.0,), (0.0,))  # pushes of nothing, by axis
+_FLOOR_M = 0.2  # lowest height of one that does not fly itself, cortex frame; it may land, but not be flown there
 _COUNTED_ON = 0.7  # of the deceleration that a tilt makes
 
 
@@ -32,23 +36,26 @@ class Fence:
         """limits: SafetyLimits.  vehicle_type: VehicleType."""
         self.limits, wider_m = limits, vehicle_type.wider_m
         self.margin_m = limits.fence_margin_m + wider_m  # of its centre
-        self._room_m = tuple((low + wider_m, high - wider_m) for low, high in limits.room_m)
-        if any(low >= high for low, high in self._room_m):
+        room_m = tuple((low + wider_m, high - wider_m) for low, high in limits.room_m)
+        if any(low >= high for low, high in room_m):
             raise ValueError(
                 "the fence leaves no room for a vehicle that reaches %.2f m: fence_min_m %r, fence_max_m %r"
                 % (vehicle_type.radius_m, limits.fence_min_m, limits.fence_max_m)
             )
-        most = greatest_command(vehicle_type)
+        adapter, most = adapter_class(vehicle_type), greatest_command(vehicle_type)
+        self._room_m = self._flown_m = room_m
         loops = vehicle_type.roll, vehicle_type.pitch
         lag_s = max(2.0 * loop.damping_ratio / loop.natural_frequency_rad_s for loop in loops)
         told_s = limits.fence_delay_s + _LOOK_S + 1.0 / vehicle_type.command_rate_hz + vehicle_type.command_delay_s
-        if adapter_class(vehicle_type).FLIES_ITSELF:
+        if adapter.FLIES_ITSELF:
             level_m_s2 = _COUNTED_ON * GRAVITY_M_S2 * math.tan(min(most.roll_rad, most.pitch_rad, TILT_RAD))
             up_m_s2 = _COUNTED_ON * vehicle_type.climb_max_m_s / vehicle_type.climb_time_constant_s
         else:
-            level_m_s2, up_m_s2 = PLACE_M_S2, PLACE_UP_M_S2
+            level_m_s2, up_m_s2 = PLACE_M_S2, STOPS_UP_M_S2
+            self._flown_m = *room_m[:2], (max(_FLOOR_M, room_m[2][0]), room_m[2][1])
         level = told_s + _TURNS * lag_s, told_s + 0.5 * _TURNS * lag_s, level_m_s2
-        self._stops = level, level, (told_s, 0.0, up_m_s2)
+        self._stops = level, level, (told_s, 0.0 if adapter.FLIES_ITSELF else told_s, up_m_s2)
+        self._swing_s3_m = adapter.swing_s(vehicle_type) / GRAVITY_M_S2
 
     def is_outside(self, position_m):
         """Whether a position [m], cortex frame, is out of the room."""
@@ -56,31 +63,29 @@ class Fence:
 
     def stop_m(self, axis, speed_m_s, push_m_s2=0.0):
         """How far it goes on at a speed and an acceleration outwards, until it has stopped."""
-        return _stop_m(speed_m_s, push_m_s2, *self._stops[axis])
+        brakes_s, pushed_s, brakes_m_s2 = self._stops[axis]
+        swings_s = self._swing_s3_m * max(0.0, push_m_s2)
+        pushed_s += 0.5 * swings_s
+        gains_m_s = push_m_s2 * pushed_s
+        coasts_m = speed_m_s * (brakes_s + swings_s) + gains_m_s * (brakes_s + swings_s - 0.5 * pushed_s)
+        return max(0.0, coasts_m) + 0.5 * max(0.0, speed_m_s + gains_m_s) ** 2 / brakes_m_s2
 
     def leaves(self, position_m, velocity_m_s, pushes=()):
         """Whether it cannot stop in the room any more. All (3,), cortex frame; of `pushes` the worst counts."""
-        by_axis = zip(position_m, velocity_m_s, tuple(zip(*pushes)) or _STILL, self._room_m, self._stops)
-        for at_m, speed_m_s, push_m_s2, (low, high), stops in by_axis:
-            if at_m + _stop_m(speed_m_s, max(push_m_s2), *stops) > high:
+        by_axis = zip(position_m, velocity_m_s, tuple(zip(*pushes)) or _STILL, self._flown_m)
+        for axis, (at_m, speed_m_s, push_m_s2, (low, high)) in enumerate(by_axis):
+            if at_m + self.stop_m(axis, speed_m_s, max(push_m_s2)) > high:
                 return True
-            if at_m - _stop_m(-speed_m_s, -min(push_m_s2), *stops) < low:
+            if at_m - self.stop_m(axis, -speed_m_s, -min(push_m_s2)) < low:
                 return True
         return False
 
 
-def _stop_m(speed_m_s, push_m_s2, brakes_s, pushed_s, brakes_m_s2):
-    """See the module."""
-    gains_m_s = push_m_s2 * pushed_s
-    coasts_m = speed_m_s * brakes_s + gains_m_s * (brakes_s - 0.5 * pushed_s)
-    return max(0.0, coasts_m) + 0.5 * max(0.0, speed_m_s + gains_m_s) ** 2 / brakes_m_s2
-
-
-def pushed_m_s2(phi_rad, theta_rad, psi_rad):
-    """(3,) acceleration, cortex frame, that a tilt makes at the thrust of hover."""
-    forward, right = -_pushes(theta_rad), _pushes(phi_rad)
+def pushed_m_s2(phi_rad, theta_rad, psi_rad, up=1.0):
+    """(3,) acceleration, cortex frame, that a tilt makes. up: the part of the thrust that carries it, in weights."""
+    forward, right = -up * _pushes(theta_rad), up * _pushes(phi_rad)
     cosine, sine = math.cos(psi_rad), math.sin(psi_rad)
-    return forward * cosine - right * sine, -forward * sine - right * cosine, 0.0
+    return forward * cosine - right * sine, -forward * sine - right * cosine, (up - 1.0) * GRAVITY_M_S2
 
 
 def _pushes(tilt_rad):

@@ -55,9 +55,10 @@ _NEARLY_M, _THERE_M = 0.1, 0.03  # below the height of a take-off it is up, when
 _POSITION_1_S2, _VELOCITY_1_S, _INTEGRAL_1_S3, _INTEGRAL_M_S2 = 3.0, 2.8, 0.7, 0.8
 _HEIGHT_1_S2, _CLIMB_1_S = 5.0, 3.5
 _YAW_1_S, _YAW_RATE_RAD_S = 1.0, 0.5
-_TILT_RAD, _UP_M_S2 = math.radians(15.0), 2.0
-PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held, which the fence counts on;
-_STOP_M_S2 = 2.0  # when it slows down, level: others may be in its way
+_TILT_RAD, _UP_M_S2 = math.radians(20.0), 3.0
+PLACE_M_S2, _PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held; on the former the fence counts
+_STOP_M_S2 = 2.5  # when it slows down: others may be in its way, or the floor;
+STOPS_UP_M_S2 = 1.4  # of that the fence counts on so much, up and down
 _FAR_M = 0.5  # larger errors count as this one
 _LEASH_M = 0.3  # the place is no farther above or below the vehicle on the way up or down
 _BLIND_1_S, _BLIND_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned, without states;
@@ -431,8 +432,8 @@ class Hover:
     def _held(self, step_s, velocity_m_s, yaw_rate_rad_s):
         """`Command` that holds the place, which comes to move at this velocity."""
         own, wanted_m_s2 = self._own, [0.0] * 3
-        for axis, most_m_s2 in enumerate((PLACE_M_S2, PLACE_M_S2, PLACE_UP_M_S2)):
-            if axis < 2 and abs(velocity_m_s[axis]) < abs(self._place_m_s[axis]):
+        for axis, most_m_s2 in enumerate((PLACE_M_S2, PLACE_M_S2, _PLACE_UP_M_S2)):
+            if abs(velocity_m_s[axis]) < abs(self._place_m_s[axis]):
                 most_m_s2 = _STOP_M_S2
             change_m_s = _within(velocity_m_s[axis] - self._place_m_s[axis], most_m_s2 * step_s)
             self._place_m_s[axis] += change_m_s
@@ -501,7 +502,7 @@ _STATES = {  # FlightState of each Phase but those that depend on more
 
 def _stops_m_s(way_m):
     """Speed at which the place that is held comes to a stop within this way, up or down."""
-    return math.sqrt(PLACE_UP_M_S2 * max(0.0, way_m))  # at half of its acceleration
+    return math.sqrt(_PLACE_UP_M_S2 * max(0.0, way_m))  # at half of its acceleration
 
 
 def _beyond(value, known, noise):

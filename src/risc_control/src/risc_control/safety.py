@@ -57,7 +57,7 @@ class SafetyLimits(Settings):
     state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
     controls_land_s: Positive = 0.5  # [s] ... LAND, likewise
-    saturated_land_s: NotNegative = 1.5  # [s] tilted to full scale for half of it: HOLD, for so long: LAND; 0 = off
+    saturated_land_s: NotNegative = 1.5  # [s] full tilt or thrust for half of it: HOLD, for so long: LAND; 0 = off
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
     # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
     joystick_timeout: NotNegative = 1.0

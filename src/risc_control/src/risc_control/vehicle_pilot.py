@@ -152,14 +152,15 @@ class VehiclePilot:
         rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
         most, unit = greatest_command(vehicle_type), self._adapter.units(vehicle_type)
-        full = most.roll_rad / unit.roll_rad, most.pitch_rad / unit.pitch_rad  # of an entry of /controls
-        self._full = [_NEARLY_FULL * abs(value) for value in full]
+        full = most.roll_rad / unit.roll_rad, most.pitch_rad / unit.pitch_rad, self._adapter.THRUST_MOST
+        self._full = [_NEARLY_FULL * abs(value) for value in full]  # of an entry of /controls
         self._sent = CommandHistory(1)
         self._braking = Braking(vehicle_type, self._sent.vehicles[0], params.hold_brakes)
         self._stopped = False  # it was braked, in this HOLD
         self._risen_s = -math.inf  # when the level rose last
-        self._tilts, self._tilts_s = [0.0, 0.0], now_s  # see _told_tilt
-        self._newest_tilts = [0.0, 0.0]  # roll and pitch [rad] at which it settles by the newest command
+        self._told_of, self._told_s = [0.0, 0.0, 1.0], now_s  # see _told_push
+        # roll and pitch [rad] at which it settles by the newest command, and what carries it then [weights]
+        self._newest_push = [0.0, 0.0, 1.0]
         # that takes off, holds and lands a vehicle which does not do so itself; None: it does
         self._hover = None
         if not self._adapter.FLIES_ITSELF:
@@ -308,8 +309,8 @@ class VehiclePilot:
         if not math.isfinite(sum(position_m) + sum(velocity_m_s) + phi_rad + theta_rad + psi_rad):
             return
         self.ladder.note_look(look, now_s)
-        tilts = (phi_rad, theta_rad), self._told_tilt(now_s)
-        pushes = [pushed_m_s2(*tilt, psi_rad) for tilt in tilts]
+        *told, up = self._told_push(now_s)
+        pushes = [pushed_m_s2(*tilt, psi_rad, up) for tilt in ((phi_rad, theta_rad), told)]
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s, pushes)
         self._looks_s.append(now_s)
         self._state, self._unseen = own, False
@@ -333,11 +334,11 @@ class VehiclePilot:
             self._stopped = False
         self.ladder.note_suspect(reason, now_s)
 
-    def _told_tilt(self, now_s):
-        """(roll, pitch) [rad] that it was told of late, without their noise."""
-        part = -math.expm1((self._tilts_s - now_s) / _TILTS_S)
-        told = [old + part * (newest - old) for old, newest in zip(self._tilts, self._newest_tilts)]
-        self._tilts, self._tilts_s = told, now_s
+    def _told_push(self, now_s):
+        """(roll, pitch [rad], what carries it [weights]) that it was told of late, without their noise."""
+        part = -math.expm1((self._told_s - now_s) / _TILTS_S)
+        told = [old + part * (newest - old) for old, newest in zip(self._told_of, self._newest_push)]
+        self._told_of, self._told_s = told, now_s
         return told
 
     def hear_controls(self, own, age_s, now_s):
@@ -348,7 +349,8 @@ class VehiclePilot:
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
             self.ladder.controls.note(age_s, now_s)
-        saturated = abs(own.phi) >= self._full[0] or abs(own.theta) >= self._full[1]
+        most_phi, most_theta, most_thrust = self._full
+        saturated = abs(own.phi) >= most_phi or abs(own.theta) >= most_theta or abs(own.thrust_n) >= most_thrust
         self.ladder.note_command(is_finite, saturated and self.autonomous, now_s)
         return is_finite
 
@@ -740,4 +742,6 @@ class VehiclePilot:
         sticks = self._adapter.sendable(sticks, now_s)
         orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, own or self._state))
         self._sent.append(0, now_s, orders.command.settles_at)
-        self._newest_tilts = orders.command.settles_at[[Channel.PHI, Channel.THETA]].tolist()
+        settles_at = orders.command.settles_at
+        up = 1.0 if self._hover is None else 1.0 + settles_at[Channel.CLIMB]
+        self._newest_push = [settles_at[Channel.PHI], settles_at[Channel.THETA], up]

@@ -133,6 +133,11 @@ class Adapter:
         return 0.0
 
     @staticmethod
+    def swing_s(vehicle_type):
+        """[s] in which its command changes by an acceleration of g, level or upwards; 0: at once."""
+        return 0.0
+
+    @staticmethod
     def climb_loop(vehicle_type):
         """(gain, damping, most) of a CLIMB_LOOP: what controllers count on."""
         raise NotImplementedError

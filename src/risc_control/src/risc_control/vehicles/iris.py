@@ -38,6 +38,7 @@ _DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sen
 _SPREAD_S = 0.25  # and more, from one to the next
 _BURST_S, _GAP_S = 0.01, 1.0  # between reports: those that were held up, and those before a gap, say nothing of now
 
+_CLIMB_SHARE = 1.5  # of the type's greatest climb rate: what a controller gets; courses ask for less than that rate
 _FORGETS_S = 0.4  # without commands the board goes to others, or may
 _BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle", 2: "follows commands", 3: "failsafe"}
 
@@ -75,6 +76,10 @@ class Adapter(vehicles.Adapter):
         return hover_throttle(vehicle_type, battery_pct) - 1.0
 
     @staticmethod
+    def swing_s(vehicle_type):
+        return 1.0 / own_numbers(vehicle_type, RadioSticks).stick_rate_1_s  # 1 is 45 degrees, and a weight of thrust
+
+    @staticmethod
     def climb_loop(vehicle_type):
         """What it takes is the throttle over that of hover: 1 is an acceleration of g."""
         hovers = [hover_throttle(vehicle_type, pct) for pct in range(101)]
@@ -86,8 +91,8 @@ class Adapter(vehicles.Adapter):
         self._hover = hover_throttle(self.type, self._charge.pct)
 
     def answer(self, controls, own, own_s, now_s, sent):
-        trim = self.trim_m_s2 / GRAVITY_M_S2
-        return self._sticks(controls.phi, controls.theta, controls.psi, controls.thrust_n + trim)
+        throttle = self._within_climb(controls.thrust_n, own) + self.trim_m_s2 / GRAVITY_M_S2
+        return self._sticks(controls.phi, controls.theta, controls.psi, throttle)
 
     def fly(self, command):
         if command is None:
@@ -104,6 +109,20 @@ class Adapter(vehicles.Adapter):
             sticks = Sticks(*(min(max(s, last - most), last + most) for s, last in zip(sticks, self._newest)))
         self._newest, self._newest_s = sticks, now_s
         return sticks
+
+    def _within_climb(self, throttle, own):
+        """As much of a throttle as leads to no climb rate that a stop before net or floor could not take away: nothing
+        on board limits it.
+        """
+        if own is None:
+            return throttle
+        most_m_s, cosine = _CLIMB_SHARE * self.type.climb_max_m_s, max(0.5, _cosine(own))
+        low, high = (
+            (1.0 + (limit_m_s - own.velocity_m_s[2]) / self.type.climb_time_constant_s / GRAVITY_M_S2) / cosine
+            for limit_m_s in (-most_m_s, most_m_s)
+        )
+        hovers = self._hover - 1.0
+        return min(max(throttle, hovers + low), hovers + high)
 
     def settles_at(self, sticks, own):
         unit, dead = self._unit, self.numbers.stick_dead_zone
