@@ -24,6 +24,14 @@ def number(least, most=math.inf):
     return parse
 
 
+def name_list(text):
+    """Type of an option: names between commas, each of them once."""
+    found = list(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
+    if not found:
+        raise argparse.ArgumentTypeError("needs at least one name")
+    return found
+
+
 def course(text):
     """Type of an option: the name of a course, or the path of a file of waypoints, which is absolute afterwards."""
     if text in COURSES:

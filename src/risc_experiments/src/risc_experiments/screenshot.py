@@ -9,6 +9,7 @@ import threading
 from data_extraction.bags import Bag
 from data_extraction.progress import Progress
 from risc_experiments import fly
+from risc_experiments.option_types import name_list
 from risc_lab.lab import load_fleet
 from risc_visual.pictures.rviz_pictures import VIEWS, moment_of, standard_views, take_pictures, views_from
 from risc_visual.pictures.virtual_screen import ScreenError, missing_programs
@@ -33,7 +34,7 @@ def arguments(argv):
         help="time in the bag (default: late on the course; with bearings, when most landmarks are seen)",
     )
     views_help = "%s, or FILE.rviz[:SAVED VIEW] (default: all that the bag has something for)" % ", ".join(VIEWS)
-    add("--views", type=_names, metavar="A,B", help=views_help)
+    add("--views", type=name_list, metavar="A,B", help=views_help)
     add("--size", type=_size, default=(1280, 900), metavar="WxH", help="in pixels (default: 1280x900)")
     add("--light", action="store_true", help="on white, for print (default: on black)")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet of the bag (default: fleet.yaml beside it)")
@@ -47,10 +48,6 @@ def arguments(argv):
     if args.at is not None and not args.at > 0.0:
         parser.error("--at must be a time after the start of the bag [s]")
     return args, rest
-
-
-def _names(text):
-    return list(dict.fromkeys(filter(None, text.split(","))))  # every one once
 
 
 def _size(text):

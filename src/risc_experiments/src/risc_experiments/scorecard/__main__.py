@@ -14,7 +14,7 @@ from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_experiments.estimators import estimator_of
 from risc_experiments.offline import Flight
-from risc_experiments.option_types import number
+from risc_experiments.option_types import name_list, number
 from risc_experiments.scorecard import output
 from risc_experiments.scorecard.figures import compare, key_of, row_of, totals_of
 from risc_experiments.scorecard.flights import Record, code_version, fly_plan
@@ -44,12 +44,12 @@ def arguments(argv=None):
     )
     add = parser.add_argument
     add("--quick", action="store_true", help="a few faults, a minute or two")
-    add("--faults", metavar="A,B", type=_names, help="names of ./maap faults, %s (nothing happens), %s (any of them at "
-        "random times), or FILE.yaml with a list of faults (default: all)" % (NONE, RANDOM))  # fmt: skip
-    add("--severities", metavar="A,B", type=_names, help="of %s (default: all)" % ", ".join(GRADES))
-    add("--estimators", metavar="A,B", type=_names, help="of %s (default: that of the controller)"
+    add("--faults", metavar="A,B", type=name_list, help="names of ./maap faults, %s (nothing happens), %s (any of them "
+        "at random times), or FILE.yaml with a list of faults (default: all)" % (NONE, RANDOM))  # fmt: skip
+    add("--severities", metavar="A,B", type=name_list, help="of %s (default: all)" % ", ".join(GRADES))
+    add("--estimators", metavar="A,B", type=name_list, help="of %s (default: that of the controller)"
         % ", ".join(ESTIMATORS.names()))  # fmt: skip
-    add("--controllers", metavar="A,B", type=_names, default=(Flight.controller,), help="of %s (default: %s)"
+    add("--controllers", metavar="A,B", type=name_list, default=(Flight.controller,), help="of %s (default: %s)"
         % (", ".join(CONTROLLERS.names()), Flight.controller))  # fmt: skip
     add("--minutes", type=number(0.01), metavar="M", help="on the course, at least, of each row")
     add("--seeds", type=_seeds, metavar="N|A-B", help="N flights of each row, with the seeds 1 to N, or those with the "
@@ -70,13 +70,6 @@ def arguments(argv=None):
         if not args.ladder:
             args.out = args.out.with_name("scorecard_no_ladder")
     return parser, args
-
-
-def _names(text):
-    names = tuple(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
-    if not names:
-        raise argparse.ArgumentTypeError("needs at least one name")
-    return names
 
 
 def _seeds(text):

@@ -8,8 +8,9 @@ import math
 import pathlib
 from collections import Counter
 
-import numpy as np
 from scipy import stats
+
+from risc_experiments.soak.table import percentiles
 
 CONFIDENCE = 0.95
 RULE_OF_THREE = 3.0
@@ -42,7 +43,7 @@ def row_of(cell, flights):
     }
     row["rmse_m"] = round(math.sqrt(square_m2 / samples), 6) if samples else None
     row["worst_m"] = max((figures["worst_m"] for figures in flown.values() if figures["samples"]), default=None)
-    row |= _percentiles(delays_ms)
+    row |= dict(zip(_DETECT, percentiles(delays_ms, list(_DETECT.values()))))
     row |= {"events": len(events), "detected": len(delays_ms)}
     row["detected_bounds"] = share_bounds(len(delays_ms), len(events))
     row["detected_by"] = dict(Counter(how for *_, how in events if how is not None))
@@ -60,13 +61,6 @@ def row_of(cell, flights):
     }
     row["detect_ms"] = delays_ms
     return row
-
-
-def _percentiles(delays_ms):
-    """{name: percentile}, each a delay that was measured (nearest rank): the p99 of fewer than 100 is the largest."""
-    if not delays_ms:
-        return dict.fromkeys(_DETECT)
-    return dict(zip(_DETECT, np.percentile(delays_ms, list(_DETECT.values()), method="inverted_cdf").tolist()))
 
 
 def totals_of(rows):

@@ -100,9 +100,9 @@ def cells(row):
         low, high = row["detected_bounds"]
         share = "%d of %d (%.0f–%.0f %%)" % (row["detected"], row["events"], 100.0 * low, 100.0 * high)
     counted = ["%d (%s)" % (row[what], rate(row, what)) for what in COUNTED]
-    return [*(row[key] for key in KEY), minutes_text(row["minutes"]), _number(row["rmse_m"], 1e3, 1),
-            _number(row["worst_m"], 1e3, 0), share, _number(row["detect_p50_ms"], 1.0, 0),
-            _number(row["detect_p99_ms"], 1.0, 0), *counted]  # fmt: skip
+    return [*(row[key] for key in KEY), minutes_text(row["minutes"]), table.number(row["rmse_m"], 1, 1e3),
+            table.number(row["worst_m"], 0, 1e3), share, table.number(row["detect_p50_ms"], 0),
+            table.number(row["detect_p99_ms"], 0), *counted]  # fmt: skip
 
 
 def minutes_text(minutes):
@@ -130,10 +130,6 @@ def _short(value, up=True):
     if exponent >= -2:
         return "%g" % value
     return ("%.1e" % value).replace(".0e", "e").replace("e-0", "e-")
-
-
-def _number(value, factor, digits):
-    return "–" if value is None else "%.*f" % (digits, factor * value)
 
 
 def markdown(scorecard):
@@ -188,7 +184,7 @@ def _of(item):
 def compared(item):
     """Texts of a difference."""
     factor, unit, digits = _UNITS.get(item["figure"], _PER_MINUTE)
-    values = ["%s %s" % (_number(item[key], factor, digits), unit) for key in ("here", "there")]
+    values = ["%s %s" % (table.number(item[key], digits, factor), unit) for key in ("here", "there")]
     p = "–" if item["p"] is None else "%.2g" % item["p"]
     return [*(item[key] for key in KEY), WORDS[item["figure"]], *values, p]
 

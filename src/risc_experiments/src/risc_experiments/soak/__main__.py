@@ -11,6 +11,7 @@ from dataclasses import replace
 from data_extraction.progress import Progress
 from risc_experiments import fly
 from risc_experiments.estimators import add_option
+from risc_experiments.option_types import name_list
 from risc_experiments.scorecard import plan
 from risc_experiments.soak import output, script, table
 from risc_experiments.soak.run import Soak
@@ -29,7 +30,7 @@ def arguments(argv):
     add = parser.add_argument
     add("hours", nargs="?", type=fly.number(1e-3, LONGEST_H), metavar="HOURS", help="how long, e.g. 0.1")
     add("--seed", type=fly.number(0), default=1, metavar="N", help="of the vehicles and of all faults (default: 1)")
-    add("--faults", type=_names, default=(), metavar="A,B", help="only these of ./maap faults (default: all that a "
+    add("--faults", type=name_list, default=(), metavar="A,B", help="only these of ./maap faults (default: all that a "
         "flight can end safely with)")  # fmt: skip
     add("--vehicles", type=fly.number(1), metavar="N", help="how many (default: 3)")
     add("--trajectory", choices=sorted(fly.COURSES), help="course to fly (default: circles3)")
@@ -49,13 +50,6 @@ def arguments(argv):
         parser.error("say how many HOURS, e.g. ./maap soak 0.1, or --table DIR")
     args.command = "./maap soak " + shlex.join(argv)
     return args, parser
-
-
-def _names(text):
-    names = tuple(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
-    if not names:
-        raise argparse.ArgumentTypeError("needs at least one name")
-    return names
 
 
 def flight_of(args, params, error):

@@ -114,11 +114,11 @@ MEANING = (
 
 def cells(name, process):
     """Texts of a process, under HEAD."""
-    texts = [name, _number(process["rss_mb"]["last"], 0), _number(process["pss_mb"]["last"], 0)]
+    texts = [name, table.number(process["rss_mb"]["last"], 0), table.number(process["pss_mb"]["last"], 0)]
     for figure in FIGURES:
         digits = 1 if figure == "own_mb" else 0
-        texts += [_number(process[figure]["last"], digits), slope(process[figure])]
-    return [*texts, _number(process["cpu_cores"]["last"], 2)]
+        texts += [table.number(process[figure]["last"], digits), slope(process[figure])]
+    return [*texts, table.number(process["cpu_cores"]["last"], 2)]
 
 
 def slope(drift):
@@ -129,16 +129,12 @@ def slope(drift):
     return "%+.1f (%+.1f to %+.1f)" % values if any(values) else "0"
 
 
-def _number(value, digits):
-    return "–" if value is None else "%.*f" % (digits, value)
-
-
 def facts(result):
     """[(what, text)] of the whole."""
     late_ms, latency_ms = result["lab"]["late_ms"], result["latency_ms"]
-    newest = [_number(latency_ms[name]["last"], 1) for name in ("p50", "p99")]
-    first = [_number(latency_ms[name]["first"], 1) for name in ("p50", "p99")]
-    reactions = [_number(result["all_faults"][name], 0) for name in ("p50_ms", "p99_ms", "max_ms")]
+    newest = [table.number(latency_ms[name]["last"], 1) for name in ("p50", "p99")]
+    first = [table.number(latency_ms[name]["first"], 1) for name in ("p50", "p99")]
+    reactions = [table.number(result["all_faults"][name], 0) for name in ("p50_ms", "p99_ms", "max_ms")]
     put_back = sum(result["put_back"].values())
     told = [
         ("flown", "%.2f h of %g h, %d flights judged" % (result["flown_h"], result["asked_h"], len(result["flights"]))),

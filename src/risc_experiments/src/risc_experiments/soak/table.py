@@ -39,20 +39,27 @@ def rows_of(faults):
     return [row_of(name, by_name[name]) for name in sorted(by_name)]
 
 
+def percentiles(values, percents):
+    """Percentiles that were measured (nearest rank): the p99 of fewer than 100 is the largest; None of no values."""
+    return np.percentile(values, percents, method="inverted_cdf").tolist() if values else [None] * len(percents)
+
+
 def row_of(name, faults):
-    """One row. Percentiles are measured reactions (nearest rank): the p99 of fewer than 100 is the largest."""
+    """One row, with `percentiles` of the reactions."""
     reactions_ms = [ms for fault in faults for ms in fault["reactions_ms"].values()]
-    percentiles = [None] * 3
-    if reactions_ms:
-        percentiles = np.percentile(reactions_ms, [50, 99, 100], method="inverted_cdf").tolist()
     return {
         "fault": name,
         "events": len(faults),
         "reactions": len(reactions_ms),
-        **dict(zip(("p50_ms", "p99_ms", "max_ms"), percentiles)),
+        **dict(zip(("p50_ms", "p99_ms", "max_ms"), percentiles(reactions_ms, [50, 99, 100]))),
         "outcomes": dict(sorted(Counter(fault["outcome"] for fault in faults).items())),
         "unsafe": sum(not fault["safe"] for fault in faults),
     }
+
+
+def number(value, digits, factor=1.0):
+    """Text of a figure; None: not known."""
+    return "–" if value is None else "%.*f" % (digits, factor * value)
 
 
 def events_text(row):
@@ -63,7 +70,7 @@ def events_text(row):
 
 def cells(row):
     """Texts of a row, under HEAD."""
-    times = ["–" if row[key] is None else "%.1f" % row[key] for key in ("p50_ms", "p99_ms", "max_ms")]
+    times = [number(row[key], 1) for key in ("p50_ms", "p99_ms", "max_ms")]
     outcomes = ", ".join("%s %d" % item for item in row["outcomes"].items())
     return [row["fault"], str(row["events"]), str(row["reactions"]), *times, outcomes, str(row["unsafe"])]
 
