@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from risc_control import hover
+from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import Charge
 from risc_control.vehicles.iris import Adapter
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, Loss, fly, fly_all
@@ -56,7 +57,7 @@ def test_it_lands_when_it_loses_what_it_flies_on(what):
     result = fly(Flight("circle", seed=2, duration_s=9.0, loss=Loss(0, what, 1.0), **ALONE))
     assert result.landed == (True,)
     if what != "laptop":  # nobody says anything then
-        assert "hold" in result.safety[0][2] and "land" in result.safety[1][2]
+        assert [said.level for said in result.levels[:2]] == [FailsafeLevel.HOLD, FailsafeLevel.LAND]
 
 
 def test_commands_that_the_board_would_hold_back_are_not_sent(monkeypatch):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from risc_control.plausibility import Plausibility
+from risc_control.safety import FailsafeLevel, Rule
 from risc_estimation.pose_fit import PoseFitParams
 from risc_experiments import offline
 from risc_experiments.offline import Flight, fly
@@ -63,25 +64,25 @@ def believe_all(monkeypatch, **params):
 
 
 @pytest.mark.parametrize(
-    ("lie", "words", "kind"),
+    ("lie", "rule", "kind"),
     [
-        (flip, "yaw", "ardrone"),
-        (exchange, "exchanged", "iris"),
-        (freeze, "ms old", "ardrone"),
-        more(flip, "yaw", "iris"),
-        more(exchange, "exchanged", "ardrone"),
-        more(freeze, "ms old", "iris"),
+        (flip, Rule.SUSPECT, "ardrone"),
+        (exchange, Rule.SUSPECT, "iris"),
+        (freeze, Rule.STATE, "ardrone"),
+        more(flip, Rule.SUSPECT, "iris"),
+        more(exchange, Rule.SUSPECT, "ardrone"),
+        more(freeze, Rule.STATE, "iris"),
     ],
 )
-def test_a_lie_that_lasts_lands_the_vehicle(lie, words, kind, monkeypatch):
+def test_a_lie_that_lasts_lands_the_vehicle(lie, rule, kind, monkeypatch):
     monkeypatch.setattr(offline, "MocapCameras", lambda *a, **k: LyingCameras(lie, *a, **k))
     flight = dataclasses.replace(FLIGHT, trajectory="circles3", duration_s=2.0, types=(kind,) * 2)
     assert fly(flight).landed[0]
     believe_all(monkeypatch)
     result = fly(flight)
     assert result.landed[0], result.safety
-    said = [text for _, name, text in result.safety if name == result.names[0]]
-    assert any(text.startswith("hold") for text in said) and any(words in text for text in said), said
+    said = [(level, by) for _, vehicle, level, by in result.levels if vehicle == 0]
+    assert said[0][0] is FailsafeLevel.HOLD and (FailsafeLevel.LAND, rule) in said, said
     believe_all(monkeypatch, frozen_frames=0)
     with pytest.raises(RuntimeError, match="net|collided|floor"):
         fly(dataclasses.replace(flight, node={"ladder": False}))
@@ -96,7 +97,8 @@ def test_a_short_one_is_held_through(lie, monkeypatch):
     believe_all(monkeypatch)
     result = fly(FLIGHT)
     assert not any(result.landed) and result.rmse_m.max() < 0.03
-    assert any("hold" in text for _, _, text in result.safety) and result.safety[-1][2] == "ok"
+    levels = [said.level for said in result.levels]
+    assert FailsafeLevel.HOLD in levels and levels[-1] is FailsafeLevel.OK
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data_extraction.progress import Progress, bar
+from risc_control.safety import FailsafeLevel
 from risc_control.trajectories import COURSES, make_course
 from risc_control.vehicles import REGISTRY
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, Loss, fly_all
@@ -49,7 +50,7 @@ def drift(result):
     if isinstance(result, RuntimeError):
         return Drift(*[math.nan] * len(Drift._fields))
     times_s, place_m = result.times_s, result.actual_m[:, 0]
-    began_s = next(said_s for said_s, _, text in result.safety if text.startswith("hold"))
+    began_s = next(said.time_s for said in result.levels if said.level is FailsafeLevel.HOLD)
     went_m = place_m - [np.interp(began_s, times_s, axis) for axis in place_m.T]
     after = np.flatnonzero((times_s >= began_s) & (times_s <= began_s + WITHIN_S))
     before = after[0] - 1

@@ -26,7 +26,7 @@ from risc_control.controllers import ControlLoop, default_params, own_params
 from risc_control.feasibility import fleet_course, fleet_ways
 from risc_control.plausibility import Plausibility
 from risc_control.reference_buffer import ReferenceBuffer
-from risc_control.safety import fence_of
+from risc_control.safety import FailsafeLevel, Rule, fence_of
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import YawProgram, find_course
 from risc_control.trajectory_manager import Phase, make_manager
@@ -103,6 +103,15 @@ class Flight:
     wire_faults: tuple[FaultEvent, ...] = ()
 
 
+class Said(NamedTuple):
+    """What a ladder said."""
+
+    time_s: float
+    vehicle: int  # its place in the fleet
+    level: FailsafeLevel
+    rule: Rule
+
+
 class Result(NamedTuple):
     """How it was flown. With faults a vehicle may land, and an error from a course that was left says nothing."""
 
@@ -126,7 +135,7 @@ class Result(NamedTuple):
     reached_s: float = 0.0  # when all were on the course
     judged: np.ndarray | None = None  # (k,) bool: settled
     namespaces: tuple = ()
-    levels: tuple = ()  # of (time [s], vehicle, FailsafeLevel): what the ladders said, from the first trouble on
+    levels: tuple = ()  # of Said: what the ladders said, from the first trouble on
     unseen: tuple = ()  # of (time [s], vehicle): motion capture has lost it
     left_s: tuple = ()  # (n,) when each has left its course for good: it was to land, or crashed; infinite: never
 
@@ -432,7 +441,7 @@ class RunningFlight:
             reached_s=self._settled_s - SETTLE_S,
             judged=judged,
             namespaces=tuple(chain.name for chain in chains),
-            levels=tuple(sorted((said_s, i, verdict.level) for said_s, i, verdict in said)),
+            levels=tuple(sorted(Said(said_s, i, verdict.level, verdict.rule) for said_s, i, verdict in said)),
             unseen=tuple(self._unseen),
             left_s=tuple(left_course_s(chain, breaches, contacts) for chain in chains),
         )

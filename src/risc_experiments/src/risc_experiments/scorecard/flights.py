@@ -90,7 +90,7 @@ def _errors(result):
 def _alarms(result):
     """Alarms in the order of their times: from a level above OK to the next OK, and each loss of sight."""
     alarms, open_at = [Alarm(time_s, vehicle, UNSEEN, time_s) for time_s, vehicle in result.unseen], {}
-    for time_s, vehicle, level in result.levels:
+    for time_s, vehicle, level, _ in result.levels:
         if level is FailsafeLevel.OK:
             begin_s, first = open_at.pop(vehicle, (None, None))
             if first is not None:
