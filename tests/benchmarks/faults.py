@@ -72,6 +72,7 @@ def measure(text, folder, args):
             passed += summary["passed"]
             late_ms.append(summary["lab_late_ms"]["p99"])
     return table.row_of(text, events) | {
+        "never": sum(event["flying"] - len(event["reactions_ms"]) for event in events),
         "flights": seed,
         "passed": passed,
         "lab_late_p99_ms": max(late_ms, default=None),
@@ -91,8 +92,13 @@ def limit_ms(fleet, vehicles=None):
     return STATE_HOLD_MS + max(1e3 / VehicleNodeParams().rate_hz(vehicle_type) for vehicle_type in types)
 
 
+def is_late(row, hold_ms):
+    """Whether vehicles had to hold within `limit_ms`, and the p99 is later, or one that flew never did."""
+    return is_limited(row["fault"]) and (row["never"] > 0 or not (row["p99_ms"] or math.inf) <= hold_ms)
+
+
 def main():
-    """Command line. Returns 1 when an outcome was not safe, or vehicles held late or never, as `limit_ms` says."""
+    """Command line. Returns 1 when an outcome was not safe, a flight failed, or vehicles held late, see `is_late`."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the rows here, after each one")
     parser.add_argument("--out", type=pathlib.Path, help="folder for the flights (default: flights/faults_DATE)")
@@ -119,13 +125,14 @@ def main():
         told = ["-" if row[key] is None else "%.1f ms" % row[key] for key in ("p50_ms", "p99_ms", "max_ms")]
         outcomes = ", ".join("%s %d" % item for item in sorted(row["outcomes"].items()))
         unsafe = "; %d not safe" % row["unsafe"] if row["unsafe"] else ""
+        unsafe += "; late, or never (%d)" % row["never"] if is_late(row, hold_ms) else ""
         print("%-28s %3d/%3d %7d %9d %9s %9s %9s  %s%s; lab late %.1f ms (p99)"
               % (text, row["passed"], row["flights"], row["events"], row["reactions"], *told, outcomes, unsafe,
                  row["lab_late_p99_ms"] or math.nan), flush=True)  # fmt: skip
         if args.json:
             args.json.write_text(json.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
-    late = [row for row in rows if is_limited(row["fault"]) and not (row["p99_ms"] or math.inf) <= hold_ms]
-    return 1 if late or any(row["unsafe"] or row["passed"] < row["flights"] for row in rows) else 0
+    bad = [row for row in rows if is_late(row, hold_ms) or row["unsafe"] or row["passed"] < row["flights"]]
+    return 1 if bad else 0
 
 
 if __name__ == "__main__":

@@ -665,6 +665,7 @@ def test_a_fault_that_changes_nothing_is_completed(play):
         "safe": True,
         "reaction_ms": None,
         "reactions_ms": {},
+        "flying": 3,
     }
     assert faults.waiting == 0 and faults.out == {}
 

@@ -77,7 +77,7 @@ def test_the_operator_has_a_say():
 
 
 def fault(begin_s=10.0, vehicle="risc1", outcome="landed", is_safe=True):
-    return FaultOutcome("jump", "0.3", vehicle, begin_s, begin_s + 1.0, outcome, is_safe, {})
+    return FaultOutcome("jump", "0.3", vehicle, begin_s, begin_s + 1.0, outcome, is_safe, {}, flying=2)
 
 
 def judged(faults, out=(), left_ok_s=(), kept_apart=(), **changes):

@@ -41,6 +41,7 @@ class FaultOutcome:
     # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before, or
     # to the first by which it is told to hover or to land, e.g. by its driver
     reactions_s: dict[str, float]
+    flying: int  # how many vehicles flew when it began
 
     @property
     def reaction_s(self):
@@ -97,6 +98,7 @@ class Faults:
                 "safe": fault.is_safe,
                 "reaction_ms": None if fault.reaction_s is None else round(1e3 * fault.reaction_s, 3),
                 "reactions_ms": {name: round(1e3 * time_s, 3) for name, time_s in sorted(fault.reactions_s.items())},
+                "flying": fault.flying,
             }
             for fault in self.outcomes
         ]
@@ -251,6 +253,7 @@ class FaultCollector(Collector):
             outcome=outcome,
             is_safe=outcome in list(record.safe) and not is_contact,
             reactions_s=reactions_s,
+            flying=sum(name not in self._out or self._out[name].time_s > begin_s for name in self._namespaces.values()),
         )
 
 

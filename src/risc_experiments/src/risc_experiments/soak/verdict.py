@@ -57,13 +57,7 @@ def judge_flight(folder, asked, failure):
     return {
         "asked": asked,
         "faults": [
-            {
-                **figures,
-                "program": parse_fault(outcome.text).program,
-                "flying": sum(
-                    name not in found.out or found.out[name].time_s > outcome.begin_s for name in namespaces.values()
-                ),
-            }
+            {**figures, "program": parse_fault(outcome.text).program}
             for figures, outcome in zip(found.figures(), found.outcomes)
         ],
         "reasons": [reason for reason in reasons if reason],
