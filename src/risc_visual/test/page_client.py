@@ -1,11 +1,13 @@
 """What a browser does with the page of the browser view, without drawing: for tests that need no browser."""
 
+import contextlib
 import threading
 import time
 
 import msgspec
 import viser
 import zstandard
+from websockets.exceptions import ConnectionClosedError
 from websockets.sync.client import connect
 
 _CAMERA = {
@@ -73,13 +75,14 @@ class PageClient:
         self._socket.send(msgspec.msgpack.encode(message))
 
     def _listen(self):
-        for window in self._socket:
-            length = int.from_bytes(window[8:_LENGTHS], "little")
-            content = zstandard.ZstdDecompressor().decompress(window[_LENGTHS : _LENGTHS + length])
-            for message in msgspec.msgpack.decode(content)["messages"]:
-                self.messages += 1
-                self.kinds.add(message["type"])
-                self._take(message)
+        with contextlib.suppress(ConnectionClosedError):  # it was cut off
+            for window in self._socket:
+                length = int.from_bytes(window[8:_LENGTHS], "little")
+                content = zstandard.ZstdDecompressor().decompress(window[_LENGTHS : _LENGTHS + length])
+                for message in msgspec.msgpack.decode(content)["messages"]:
+                    self.messages += 1
+                    self.kinds.add(message["type"])
+                    self._take(message)
 
     def _take(self, message):
         kind, uuid = message["type"], message.get("uuid")

@@ -192,6 +192,23 @@ def test_a_message_too_long_for_a_page_ends_its_connection(server):
                 page.recv(20.0)
 
 
+@pytest.mark.parametrize("is_limited", [True, False])
+def test_a_page_that_sends_too_much_is_cut_off_and_named(guarded, monkeypatch, is_limited):
+    if not is_limited:  # the control arm
+        monkeypatch.setattr(page_server, "MAX_MESSAGES_S", 10**9)
+    port, strangers = guarded("127.0.0.1")
+    page = PageClient(port)
+    try:
+        with contextlib.suppress(ConnectionClosed):
+            for _ in range(5000):
+                page._socket.ping()
+            assert page._socket.ping().wait(20.0) and not is_limited
+        assert str(strangers) == ("127.0.0.1: 1" if is_limited else "none")
+    finally:
+        page.close()
+    assert is_served(port), "another one is let in"
+
+
 def test_its_own_page_is_served(server):
     page = PageClient(server.get_port(), "http://127.0.0.1:%d" % server.get_port())
     try:

@@ -23,6 +23,7 @@ from risc_lab.strangers import Guests, Strangers
 
 MAX_CONNECTIONS, MAX_OF_ONE_ADDRESS = 64, 16  # at a time; a page has one, and a few more while it loads
 MAX_MESSAGE_BYTES = 1 << 18  # pages tell clicks and from where they look
+MAX_MESSAGES_S = 500  # of one page; while the view is turned it sends some tens a second
 
 
 def open_server(host, port, guests=None, strangers=None):
@@ -79,11 +80,14 @@ def _guard_server(guests, strangers):
 
 
 def _guarded_connections(guests, strangers):
-    """Class of a server's connections: guests, and not more than so many. Silent ones are cut off by websockets."""
+    """Class of a server's connections: guests, and not more than so many, who send not more than so much. Silent ones
+    are cut off by websockets.
+    """
     present = Counter()  # connections by address
 
     class Connection(websockets.asyncio.server.ServerConnection):
         _address = None  # None: it was refused
+        _second = _messages = 0  # of the server's clock; how many came in it
 
         def connection_made(self, transport):
             peer, here = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
@@ -96,6 +100,16 @@ def _guarded_connections(guests, strangers):
             self._address = peer[0]
             present[self._address] += 1
             super().connection_made(transport)
+
+        def process_event(self, event):
+            second = int(self.loop.time())
+            self._messages = self._messages + 1 if second == self._second else 1
+            self._second = second
+            if self._messages <= MAX_MESSAGES_S:
+                super().process_event(event)
+            elif not self.transport.is_closing():
+                strangers.refuse(self._address, "it sends more than %d messages a second" % MAX_MESSAGES_S)
+                self.transport.abort()
 
         def connection_lost(self, exc):
             if self._address is not None:
