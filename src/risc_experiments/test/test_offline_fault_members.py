@@ -36,18 +36,29 @@ SHORT = (  # the same, but over before they are down: the landing goes on
     *[(fault, ("ardrone",)) for fault in ("link_blackhole:5", "nan_markers:3", "garbage:3", "host_restart:3")],
     *[(fault, ("iris",)) for fault in ("link_blackhole:5", "wrong_axes:0.5")],
 )
-LAND_BY_THEMSELVES = {  # in which vehicles without a ladder land, and why
-    "mocap_blackout:20",  # no frames, no commands: the AR.Drone's watchdog
-    "host_restart:20",  # the same
-    "burst:severe",  # the same, in one of the gaps
-    "link_blackhole:20",  # the same watchdog, and the failsafe of the IRIS+'s radio
-    "battery_failing:30",  # the aircraft's own limit
-    "battery_low:8",  # the autopilot's own limit
+# In which vehicles without a ladder land by themselves, and how they end when they do not: with the ladder, without it
+LAND_BY_THEMSELVES = {
+    "mocap_blackout:20": ("landed", "breach"),  # no frames, no commands: the AR.Drone's watchdog
+    "host_restart:20": ("landed", "breach"),  # the same
+    "burst:severe": ("landed", "completed"),  # the same, in one of the gaps
+    "link_blackhole:20": ("breach", "breach"),  # the same, or the failsafe of an IRIS+'s radio: no ladder reaches them
+    "battery_failing:30": ("landed", "completed"),  # the aircraft's own limit; virtual rotors turn without a charge
+    "battery_low:8": ("landed", "completed"),  # the autopilot's own limit
+}
+OWN_FAILSAFES = {  # of the aircraft, and what switches them off
+    "ardrone.offline.LOST_S": math.inf,
+    "ardrone.firmware.EMPTY_BATTERY_PCT": -1.0,
+    "iris.offline.FAILSAFE_S": math.inf,
+    "iris.firmware.CRITICAL_BATTERY_PCT": -1.0,
 }
 # what the states estimator puts right
 MENDED = (("marker_swap:3", ("ardrone",)), ("name_exchange:3", ("ardrone", "ardrone")))
 # of connections, answers and programs, which offline flights have not
 NOT_OFFLINE = {"cut", "wrong_reply", "node_kill", "node_stop"}
+
+
+def name_of(value):
+    return value if isinstance(value, str) else value[0]
 
 
 def flown(faults, types, seed=1, course="circle", longer_s=0.0, **fields):
@@ -78,7 +89,7 @@ def test_they_are_flown_through(faults, kind):
     assert not result.breaches and not result.contacts and len(result.faults) == len(faults.split())
 
 
-@pytest.mark.parametrize("fault, types", LANDING, ids=lambda value: value if isinstance(value, str) else value[0])
+@pytest.mark.parametrize("fault, types", LANDING, ids=name_of)
 @pytest.mark.parametrize("ladder", [True, False])
 def test_they_land_it(fault, types, ladder):
     """The control arm, without the ladder: it ends in the net, but where the vehicle lands by itself."""
@@ -90,7 +101,7 @@ def test_they_land_it(fault, types, ladder):
     assert bool(result.breaches) is not lands and not result.contacts
 
 
-@pytest.mark.parametrize("fault, types", SHORT, ids=lambda value: value if isinstance(value, str) else value[0])
+@pytest.mark.parametrize("fault, types", SHORT, ids=name_of)
 def test_they_land_it_although_it_is_over_before_they_are_down(fault, types):
     result = flown([fault + "@1"], types)
     (outcome,) = result.faults
@@ -98,12 +109,23 @@ def test_they_land_it_although_it_is_over_before_they_are_down(fault, types):
     assert not result.breaches and not result.contacts
 
 
+def test_they_do_not_where_a_hold_never_becomes_a_landing():
+    """The control arm. A vehicle whose link is dead lands by itself in that time, see below."""
+    held = [(fault, types) for fault, types in SHORT if not fault.startswith("link_blackhole")]
+    assert len(held) == len(SHORT) - 2
+    for fault, types in held:
+        result = flown([fault + "@1"], types, node={"state_land_s": 60.0, "controls_land_s": 60.0})
+        assert result.faults[0].outcome in ("completed", "held") and not any(result.landed), fault
+
+
 @pytest.mark.parametrize("ladder", [True, False])
-def test_without_a_watchdog_the_ladder_lands_it(ladder, monkeypatch):
-    """What is hidden above: frames, and with them commands, stop."""
-    monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", math.inf)
-    result = flown(["mocap_blackout:20@1"], ("ardrone",), seed=3, longer_s=15.0, node={"ladder": ladder})
-    assert [outcome.outcome for outcome in result.faults] == ["landed" if ladder else "breach"]
+@pytest.mark.parametrize("fault, types", [case for case in LANDING if case[0] in LAND_BY_THEMSELVES], ids=name_of)
+def test_without_a_watchdog_the_ladder_lands_it(fault, types, ladder, monkeypatch):
+    """What is hidden above: neither the link's watchdog nor the limit of the aircraft's battery is there."""
+    for name, off in OWN_FAILSAFES.items():
+        monkeypatch.setattr("risc_simulator.vehicles." + name, off)
+    result = flown([fault + "@1"], types, seed=3, longer_s=15.0, node={"ladder": ladder})
+    assert [outcome.outcome for outcome in result.faults] == [LAND_BY_THEMSELVES[fault][0 if ladder else 1]]
 
 
 @pytest.mark.parametrize("fault, types", [*MENDED, pytest.param("marker_swap:3", ("iris",), marks=pytest.mark.release)])
