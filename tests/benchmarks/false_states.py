@@ -33,6 +33,7 @@ FIRST_S, APART_S, SHIFT_S = 2.0, 1.0, 0.2  # of events: the first one, from one 
 LONGEST_S = 0.2
 LONG_FRAMES = 10  # of an event in which `noticed` counts
 MOST_HARMFUL = 0.005  # of false frames
+SETTLED_MS, NOTICED_FRAMES = 50.0, 3.0  # limits of half of the events, and of 99 % of the frozen ones
 STATES, TRUTH, EVENTS = "/cortex_raw", "/ground_truth", "/virtual_lab/faults"
 COLUMNS = "x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r"  # of `S`
 UNCONTRADICTED = ("freeze",)
@@ -107,7 +108,9 @@ def row_of(fault, flights):
                 value = float(np.percentile(values, percent, method="inverted_cdf"))
                 row["%s_p%d" % (key, percent)] = value if value < math.inf else None
     row["share"] = row["harmful"] / row["false"] if row["false"] else None
-    row["ok"] = row["share"] is not None and row["share"] <= MOST_HARMFUL and row["after"] == 0
+    late = (row.get(key, 0.0) for key in ("settled_ms_p50", "noticed_frames_p99"))
+    in_time = all(value is not None and value <= most for value, most in zip(late, (SETTLED_MS, NOTICED_FRAMES)))
+    row["ok"] = row["share"] is not None and row["share"] <= MOST_HARMFUL and row["after"] == 0 and in_time
     return row
 
 
@@ -124,7 +127,9 @@ def measure(fault, folder, args):
 
 
 def main(arguments=None):
-    """Command line. Returns 1 when more than 0.5 % of the false frames of a fault did harm, or one after an event."""
+    """Command line. Returns 1 when more than 0.5 % of the false frames of a fault did harm, or one after an event, half
+    of the events took longer than 50 ms to settle, or a frozen stream was noticed after more than 3 frames.
+    """
     parser = argparse.ArgumentParser(prog="maap bench false_states", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--faults", nargs="+", default=FAULTS, metavar="NAME")
