@@ -1,5 +1,6 @@
 """Loop margins: against a loop that is known, against flights with more delay, and the command line."""
 
+import dataclasses
 import json
 import math
 
@@ -81,6 +82,22 @@ def test_what_is_printed(monkeypatch, capsys, tmp_path):
     assert found["max_s"] == max(found["axes"][axis]["max_s"] for axis in ("roll", "pitch")) > 1.0
     assert loop_margins.main(["--plot", str(tmp_path / "loop.png")]) == 0
     assert (tmp_path / "loop.png").stat().st_size > 10000 and "pitch" in capsys.readouterr().out
+
+
+def test_an_unstable_loop_has_no_margins(monkeypatch, capsys):
+    """Of a link that is later than the delay margin: one line, exit code 1, and JSON without numbers."""
+    hovering = loop_margins._Hovering
+    later = {"command_delay_s": 0.1 + 1.5 * DELAY_MARGIN_S}
+    monkeypatch.setattr(loop_margins, "_Hovering", lambda flight: hovering(dataclasses.replace(flight, plant=later)))
+    monkeypatch.setattr(loop_margins, "_FRAMES", 1)  # one pulse is enough
+    assert loop_margins.main(["--json", "--delay", "0.1"]) == 1
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    numbers = [
+        *(value for key, value in found.items() if key != "axes"),
+        *(n for a in found["axes"].values() for n in a.values()),
+    ]
+    assert numbers == [None] * 20 and "loop" in err
 
 
 @pytest.mark.parametrize(

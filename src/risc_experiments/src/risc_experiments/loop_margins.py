@@ -81,7 +81,7 @@ def responses(flight, on_progress=None):
     """(k, 3) what the commands of roll, pitch and climb are after a unit pulse of each, from its frame on.
 
     flight: Flight, of which one vehicle hovers without noise.  on_progress: takes the share that is flown.
-    Raises ValueError when it does not come to rest between two pulses.
+    Raises RuntimeError when it crashes, or does not come to rest between two pulses.
     """
     running = _Hovering(flight)
     between, first = round(_DECAY_S / FRAME_S) // _FRAMES * _FRAMES + 1, round(_BEFORE_S / FRAME_S)
@@ -96,10 +96,12 @@ def responses(flight, on_progress=None):
     found = np.mean([commands[k : k + between] - commands[k - 1] for k in starts], axis=0)
     most, rest = np.abs(found).max(axis=0), np.abs(found[-between // 10 :]).max(axis=0)
     hums = np.ptp(commands[first - between // 4 : first], axis=0)  # before the first: dead zones and steps of sticks
-    for axis, is_alive in zip(AXES, rest > _DECAYED * most + hums):
+    alive = rest > _DECAYED * most + hums
+    alive[:2] |= hums[:2] > 0.5 * most[:2]  # attitude loops oscillate without a pulse
+    for axis, is_alive in zip(AXES, alive):
         if is_alive:
-            raise ValueError("%s does not come to rest within %g s after a pulse: the loop is unstable, or nearly so"
-                             % (axis, _DECAY_S))  # fmt: skip
+            raise RuntimeError("%s does not come to rest within %g s after a pulse: the loop is unstable, or nearly so"
+                               % (axis, _DECAY_S))  # fmt: skip
     return found / [_PULSES[axis] for axis in AXES]
 
 
@@ -161,7 +163,7 @@ def picture(path, per_axis_s, title):
 
 
 def main(argv=None):
-    """Print the margins. Returns the exit code."""
+    """Print the margins. Returns the exit code: 1 where the loop is unstable; --json has nulls then."""
     parser = argparse.ArgumentParser(
         prog="rosrun risc_control loop_margins.py",
         description="Margins of the whole sampled loop of a hovering vehicle, broken at the command, offline.",
@@ -186,9 +188,14 @@ def main(argv=None):
         plant = slower(load_vehicle_type(args.type), args.bandwidth)
         flight = Flight(types=(args.type,), delay_s=args.delay_s, plant=plant, **chosen)
         found = responses(flight, lambda share: progress.show("hovering", bar(share)))
-    except (ValueError, RuntimeError) as error:
+    except ValueError as error:
         progress.clear()
         parser.error(str(error))
+    except RuntimeError as error:
+        progress.say("loop_margins: %s" % error)
+        if args.json:
+            print(json.dumps(figures(dict.fromkeys(AXES, Margins(*[math.inf] * 5))), indent=2))
+        return 1
     except KeyboardInterrupt:
         progress.say("loop_margins: interrupted")
         return 130
