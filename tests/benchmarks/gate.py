@@ -2,8 +2,8 @@
 
 Simulated: fleets of three AR.Drones, and of two and an IRIS+, on perturbed plants and in gusts fly real courses
 offline; what the virtual lab's cameras see of them, again and again with other noise, goes to the state estimator with
-the filter `ekf`. Everything is seeded; every seed flies another course and heading. `--gate off` is the control arm: no
-gate of the pose fit and of the filter refuses anything.
+the filter `ekf`, or `--estimator NAME`. Everything is seeded; every seed flies another course and heading. Control
+arms: `--gate off`, where no gate of the pose fit and of the filter refuses anything, and `--set KEY=NUMBER`.
 
 - false_reject_rate: share of the poses of clean frames (a body in a frame, with three markers or more to be seen) that
   the pose fit or the filter refuses, or takes only in part; with the upper 95 % bound of Clopper and Pearson.
@@ -18,6 +18,7 @@ gate of the pose fit and of the filter refuses anything.
 - nees, nis: mean over all vehicles of squared errors of the twelve states by their covariances, and of squared
   innovations (position and attitude) by theirs, at one instant of each seed; low95 and high95: where the mean of a true
   filter is with 95 %.  nees_of: the same of position, velocity, angles and rates alone, 3 degrees of freedom each.
+  null for a filter without covariances.
 """
 
 import argparse
@@ -34,6 +35,7 @@ from scipy import stats
 from data_extraction.progress import Progress, bar
 from risc_estimation.filters import REGISTRY as FILTERS
 from risc_estimation.filters import make_filter
+from risc_estimation.pose_fit import PoseFitParams
 from risc_experiments.flight_tape import record, replay
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight
 from risc_experiments.offline_chain import FRAME_S
@@ -43,7 +45,6 @@ from risc_simulator.faults import REGISTRY as FAULTS
 from risc_simulator.faults import fault_settings
 from risc_simulator.models.mocap_cameras import CameraParams
 
-FILTER = "ekf"
 COURSES = "circle", "flat8", "slanted8"
 FLEETS = "ardrones3", "mixed3"
 FLIGHT_S = 14.0  # on the course: an outage fits in
@@ -67,7 +68,9 @@ class Task(NamedTuple):
     """What one process does with one flight."""
 
     seed: int
-    gate: bool
+    filter: str
+    settings: dict  # of the filter, that are not the usual ones
+    pose_fit: dict  # the same of PoseFitParams
     poses: int  # of clean frames, at least
     injections: int  # of each kind
     outages: int
@@ -87,7 +90,7 @@ class Tally(NamedTuple):
 
 def judge(task):
     """Tally of a Task."""
-    tape = record(flight_of(task.seed), FILTERS.module(FILTER).Filter.ON_BOARD)
+    tape = record(flight_of(task.seed), FILTERS.module(task.filter).Filter.ON_BOARD)
     poses, refused, nees, nis = look_at_clean_frames(tape, task)
     return Tally(poses, refused, *inject(tape, task), let_out(tape, task), nees, nis)
 
@@ -99,11 +102,15 @@ def flight_of(seed):
     return Flight(COURSES[seed // len(FLEETS) % len(COURSES)], seed=seed, duration_s=FLIGHT_S, gusts=True, **heading)
 
 
-def new_estimator(tape, gate):
+def new_estimator(tape, task):
     """StatesEstimator of a replay."""
-    if gate:
-        return tape.estimator(make_filter(FILTER))
-    return tape.estimator(make_filter(FILTER, {"gate_probability": 0.0}), **NO_GATES)
+    return tape.estimator(make_filter(task.filter, task.settings), **task.pose_fit)
+
+
+def taken_of(estimator, n):
+    """(n, 2) bool: the filter has taken the position, the attitude; one that does not tell takes what it is given."""
+    present, innovations = estimator.poses.present[:n, None], estimator.innovations()
+    return np.repeat(present, 2, axis=1) if innovations is None else innovations.taken[:n] & present
 
 
 def seed_of(task, purpose, number):
@@ -143,13 +150,13 @@ def look_at_clean_frames(tape, task):
     poses = refused = number = 0
     nees, nis = [], []
     while not number or poses < task.poses:
-        estimator, cameras = new_estimator(tape, task.gate), tape.cameras(seed_of(task, _CLEAN, number))
+        estimator, cameras = new_estimator(tape, task), tape.cameras(seed_of(task, _CLEAN, number))
         for k, seen, estimate in replay(tape, estimator, cameras):
             if tape.times_s[k] - tape.times_s[0] < SETTLE_S:
                 continue
             enough = np.array([np.isfinite(seen.markers_m[part, 0]).sum() >= 3 for part in rows])
             poses += np.count_nonzero(enough)
-            refused += np.count_nonzero(enough & ~estimator.innovations().taken[:n].all(axis=1))
+            refused += np.count_nonzero(enough & ~taken_of(estimator, n).all(axis=1))
             if number and poses >= task.poses:
                 break
             if not number and k == len(tape.times_s) - 1:
@@ -160,8 +167,9 @@ def look_at_clean_frames(tape, task):
 
 def consistency(estimator, estimate, truth):
     """([NEES], [NIS]) of the vehicles that are visible: squares of errors, and of innovations, by their covariances."""
-    nees, nis, P = [], [], estimator.covariances()
-    innovations = estimator.innovations()
+    nees, nis, P, innovations = [], [], estimator.covariances(), estimator.innovations()
+    if P is None or innovations is None:
+        return nees, nis
     errors = estimate.states[: len(truth)] - truth
     errors[:, S.PHI : S.P] -= 2.0 * math.pi * np.rint(errors[:, S.PHI : S.P] / (2.0 * math.pi))
     for i in np.flatnonzero(estimate.visible[: len(truth)]).tolist():
@@ -237,7 +245,7 @@ def inject(tape, task):
     """(tried, detected), a Counter of kinds each."""
     frames, number = _FalseFrames(tape, task.injections), 0
     while not frames.are_enough:
-        before, estimator = frames.tried.total(), new_estimator(tape, task.gate)
+        before, estimator = frames.tried.total(), new_estimator(tape, task)
         frames.begin(np.random.default_rng(seed_of(task, _FALSE, 2 * number)))
         for k, _, estimate in replay(tape, estimator, tape.cameras(seed_of(task, _FALSE, 2 * number + 1)), frames.see):
             frames.look(k, estimator, estimate)
@@ -252,8 +260,7 @@ def takes_what_is_false(estimator, truth, allowed_m):
     n, poses = len(truth), estimator.poses
     errors = errors_of(poses.position_m[:n], poses.angles_rad[:n], truth)
     false = errors > (allowed_m, 0.5 * WRONG_TILT_RAD, 0.5 * WRONG_YAW_RAD)
-    taken = estimator.innovations().taken[:n] & poses.present[:n, None]
-    return (taken & np.column_stack((false[:, 0], false[:, 1:].any(axis=1)))).any(axis=1)
+    return (taken_of(estimator, n) & np.column_stack((false[:, 0], false[:, 1:].any(axis=1)))).any(axis=1)
 
 
 # --- what is gone for a while
@@ -266,7 +273,7 @@ def let_out(tape, task):
     lengths_s = np.exp(rng.uniform(*np.log(OUTAGE_S), n))  # of the next of each vehicle
     while len(found) < task.outages:
         number, before = number + 1, len(found)
-        estimator, cameras = new_estimator(tape, task.gate), tape.cameras(seed_of(task, _OUTAGES, number))
+        estimator, cameras = new_estimator(tape, task), tape.cameras(seed_of(task, _OUTAGES, number))
         due_s, until_s, seen_s = np.full(n, tape.times_s[0] + SETTLE_S), np.full(n, math.inf), np.full(n, math.inf)
         for k, _, estimate in replay(tape, estimator, cameras):
             time_s, (right, _) = float(tape.times_s[k]), right_of(estimate, tape.truths[k])
@@ -289,8 +296,8 @@ def let_out(tape, task):
 # --- the whole
 
 
-def figures_of(tallies, gate):
-    """What --json writes."""
+def figures_of(tallies, arm):
+    """What --json writes. arm: {option: value} of what was judged."""
     poses, refused = sum(tally.poses for tally in tallies), sum(tally.refused for tally in tallies)
     tried, detected = (sum((tally[k] for tally in tallies), Counter()) for k in (2, 3))
     back_s = np.array([after_s for tally in tallies for after_s in tally.readmissions_s])
@@ -298,8 +305,7 @@ def figures_of(tallies, gate):
     nees = np.array([row for tally in tallies for row in tally.nees]).reshape(-1, 1 + len(BLOCKS))
     return {
         "simulated": True,
-        "estimator": FILTER,
-        "gate_on": gate,
+        **arm,
         "seeds": len(tallies),
         "clean_poses": poses,
         "refused": refused,
@@ -330,6 +336,22 @@ def share(total, seeds, k):
     return total // seeds + (k < total % seeds)
 
 
+def settings_of(args):
+    """(settings of the filter, PoseFitParams) that are not the usual ones, of the command line. Raises ValueError."""
+    settings, pose_fit = {}, dict(NO_GATES) if args.gate == "off" else {}
+    if args.gate == "off" and "gate_probability" in FILTERS.settings(args.estimator):
+        settings["gate_probability"] = 0.0
+    for change in args.set:
+        key, _, value = change.partition("=")
+        try:
+            (pose_fit if key in PoseFitParams.__dataclass_fields__ else settings)[key] = float(value)
+        except ValueError:
+            raise ValueError("--set %s: give KEY=NUMBER" % change) from None
+    make_filter(args.estimator, settings)  # checks them
+    PoseFitParams(**pose_fit)
+    return settings, pose_fit
+
+
 def main(arguments=None):
     """Print the figures; with --json also write them. Returns the exit code."""
     parser = argparse.ArgumentParser(prog="maap bench gate", description=__doc__.splitlines()[0])
@@ -340,18 +362,24 @@ def main(arguments=None):
         "run: 100000)")  # fmt: skip
     add("--outages", type=int, default=1000, metavar="N", help="of a vehicle (default: 1000; a long run: 100000)")
     add("--seeds", type=int, default=24, metavar="N", help="flights (default: 24; a long run: 200)")
+    add("--estimator", choices=FILTERS.names(), default="ekf", metavar="NAME", help="filter: %s (default: ekf)"
+        % ", ".join(FILTERS.names()))  # fmt: skip
     add("--gate", choices=("on", "off"), default="on", help="off: every pose that can be fitted is taken")
+    add("--set", action="append", default=[], metavar="KEY=NUMBER", help="another setting of the filter or of the pose "
+        "fit (`PoseFitParams`), e.g. gate_probability=1e-2; may be given again")  # fmt: skip
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     add("--json", type=argparse.FileType("w"), metavar="FILE", help="also write the figures here")
     args = parser.parse_args(arguments)
     if min(args.frames, args.seeds) < 1 or min(args.injections, args.outages) < 0:
         parser.error("--frames and --seeds are 1 or more, --injections and --outages 0 or more")
-    gate, wanted = args.gate == "on", (args.frames, args.injections, args.outages)
-    tasks = [Task(k + 1, gate, *(share(total, args.seeds, k) for total in wanted)) for k in range(args.seeds)]
+    arm = {key: getattr(args, key) for key in ("estimator", "gate", "set")}
+    wanted = args.frames, args.injections, args.outages
     progress = Progress()
     try:
+        how = args.estimator, *settings_of(args)
+        tasks = [Task(k + 1, *how, *(share(total, args.seeds, k) for total in wanted)) for k in range(args.seeds)]
         tallies = in_order(judge, tasks, args.workers, lambda over: progress.show("seeds", bar(over / args.seeds)))
-        figures = figures_of(list(tallies), gate)
+        figures = figures_of(list(tallies), arm)
     except ValueError as error:
         parser.error(str(error))
     except (RuntimeError, ChildProcessError, KeyboardInterrupt) as error:
@@ -367,8 +395,8 @@ def main(arguments=None):
 
 def show(figures):
     """Print a table."""
-    gate = "on" if figures["gate_on"] else "off"
-    print("%s, gate %s, %d seeds, simulated" % (figures["estimator"], gate, figures["seeds"]))
+    arm = ", ".join([figures["estimator"], "gate " + figures["gate"], *figures["set"]])
+    print("%s, %d seeds, simulated" % (arm, figures["seeds"]))
     rate = figures["false_reject_rate"], figures["false_reject_upper95"], figures["refused"], figures["clean_poses"]
     print("clean poses refused     %.1e (at most %.1e with 95 %%; %d of %d)" % rate)
     for kind, found in figures["detected_first_frame"].items():
@@ -380,7 +408,8 @@ def show(figures):
     blocks = {"NEES of %s" % name: band for name, band in figures["nees_of"].items()}
     for name, band in {"NEES": figures["nees"], **blocks, "NIS": figures["nis"]}.items():
         if band["mean"] is not None:
-            print("%-23s %6.2f (95 %%: %.2f to %.2f)" % (name, band["mean"], band["low95"], band["high95"]))
+            outside = "" if band["low95"] <= band["mean"] <= band["high95"] else ", outside"
+            print("%-23s %6.2f (95 %%: %.2f to %.2f%s)" % (name, band["mean"], band["low95"], band["high95"], outside))
 
 
 if __name__ == "__main__":
