@@ -536,8 +536,8 @@ def main(argv=None):
         for course in args.trajectory for delay_s in args.delay or [None] for seed in range(1, args.seeds + 1)
     ]  # fmt: skip
     progress, rows, everyone, unsafe = Progress(), [], {}, False
-    print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
-          "worst", "closest", "speed"))  # fmt: skip
+    print("%-9s %6s %5s  %-28s %6s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
+          "p95", "worst", "closest", "speed"))  # fmt: skip
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         for flight, result in zip(flights, outcomes):
@@ -562,12 +562,12 @@ def main(argv=None):
                 rows.append({"course": name, "delay_s": flight.delay_s, "seed": flight.seed,
                              "rmse_m": result.rmse_m.tolist(), "closest_m": closest_m,
                              "times_real_time": speed})  # fmt: skip
-                print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
+                print("%s %5d  %-28s %6.1f        %6.1f %5.2f m %4.1fx" % (
                     group, flight.seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm),
                     rmse_mm.max(), result.closest_m, speed), flush=True)  # fmt: skip
             if flight.seed == args.seeds and group in everyone:
-                print("%s %5s  %-28s %6.1f %6.1f" % (
-                    group, "all", "", np.median(everyone[group]), max(everyone[group])))  # fmt: skip
+                print("%s %5s  %-28s %6.1f %6.1f %6.1f" % (
+                    group, "all", "", *np.percentile(everyone[group], (50, 95)), max(everyone[group])))  # fmt: skip
     except ValueError as error:
         parser.error(str(error))
     except (ChildProcessError, KeyboardInterrupt) as error:
