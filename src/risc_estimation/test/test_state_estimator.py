@@ -81,6 +81,16 @@ def test_signs(nose, right, down, expected_deg):
     assert state[:3] == pytest.approx([0, 0, 1], abs=1e-9)
 
 
+def angles_of_axes(nose, right_wing):
+    """(phi, theta, psi) [rad] of the original's last step. Unit vectors, cortex frame."""
+    north, east = nose * [1, -1, -1], right_wing * [1, -1, -1]
+    yaw = np.arctan2(north[1], north[0])
+    unyaw = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    pitch = -np.arcsin((unyaw @ north)[2])
+    unpitch = np.array([[np.cos(pitch), 0, -np.sin(pitch)], [0, 1, 0], [np.sin(pitch), 0, np.cos(pitch)]])
+    return np.arcsin((unpitch @ unyaw @ east)[2]), pitch, yaw
+
+
 def test_original_construction_gives_the_same_attitude():
     """Section "attitude construction" of the original for its three-corner templates, computed independently."""
     rng = np.random.default_rng(5)
@@ -97,16 +107,29 @@ def test_original_construction_gives_the_same_attitude():
             v = v / np.linalg.norm(v)
             return v * np.cos(angle) + np.cross(axis, v) * np.sin(angle) + axis * (axis @ v) * (1 - np.cos(angle))
 
-        north, east = turn(p0 - centre) * [1, -1, -1], turn(p2 - centre) * [1, -1, -1]
-        yaw = np.arctan2(north[1], north[0])
-        unyaw = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-        pitch = -np.arcsin((unyaw @ north)[2])
-        unpitch = np.array([[np.cos(pitch), 0, -np.sin(pitch)], [0, 1, 0], [np.sin(pitch), 0, np.cos(pitch)]])
-        roll = np.arcsin((unpitch @ unyaw @ east)[2])
         frames = still(position=(0.5, 0.2, 1.0), phi=phi, theta=theta, psi=psi)
         state = state_of(feed(StatesEstimator(TEMPLATES), frames))
-        assert state[S.PHI : S.P] == pytest.approx([roll, pitch, yaw], abs=1e-9)
+        assert state[S.PHI : S.P] == pytest.approx(angles_of_axes(turn(p0 - centre), turn(p2 - centre)), abs=1e-9)
         assert state[:3] == pytest.approx(centre, abs=1e-9)
+
+
+def test_original_construction_of_an_iris_gives_the_same_pose():
+    """Of markers 0, 1, 2 and 4 (the spare one is hidden): east from 1 to 2, and 5 cm below marker 4.
+
+    Its other axes were no unit vectors (D-07); here they are.
+    """
+    rng, hull = np.random.default_rng(6), TEMPLATES["IRIS"].markers_m
+    for _ in range(20):
+        phi, theta = rng.uniform(-0.4, 0.4, 2)
+        markers = markers_at((0.5, 0.2, 1.0), phi, theta, rng.uniform(-3.0, 3.0), hull)
+        east = (markers[2] - markers[1]) / np.linalg.norm(markers[2] - markers[1])
+        down = np.cross(markers[0] - markers[1], east)
+        down /= np.linalg.norm(down)
+        position = markers[4] + 0.05 * down
+        markers[3] = SENTINEL_M
+        state = state_of(feed(StatesEstimator(TEMPLATES), [{"IRIS": markers}] * 60), "IRIS")
+        assert state[S.PHI : S.P] == pytest.approx(angles_of_axes(np.cross(east, down), east), abs=1e-9)
+        assert state[:3] == pytest.approx(position, abs=1e-9)
 
 
 # --- exact recovery, no singularities
