@@ -247,7 +247,7 @@ def test_who_comes_back_is_believed_at_once():
 
 @pytest.mark.parametrize("false_s", [0.05, 0.25, 0.35, 1.0, 2.5])
 def test_after_false_places_the_truth_is_believed_at_once(inputs, false_s):
-    """However long they were: the first good frame counts, and nothing is refused after it."""
+    """If they were no longer than 3 s: the first good frame counts, and nothing is refused after it."""
     row = NAMES.index("Raven")
     for seed in range(inputs(8, 20)):
         truth, estimator, rng = truth_of(seed), PoseFit(TEMPLATES), np.random.default_rng(seed)
@@ -259,6 +259,20 @@ def test_after_false_places_the_truth_is_believed_at_once(inputs, false_s):
             shown += false and estimator.poses.present[row]
             assert false or estimator.poses.present[row], (seed, k)
         assert (shown > 0) == (false_s > 0.3), "what stays for longer than the memory is believed"
+
+
+def test_after_false_places_of_5_s_the_truth_is_believed_within_the_memory():
+    """The track of before is forgotten: what contradicts the false one is refused at first, and then no more."""
+    row = NAMES.index("Raven")
+    for seed in range(4):
+        truth, estimator, rng = truth_of(seed, frames=1400), PoseFit(TEMPLATES), np.random.default_rng(seed)
+        lie = functools.partial(jump, name="Raven", place_m=None, rng=rng, kept=[])
+        present = []
+        for k in range(1400):
+            seen(estimator, truth, k, rng, *[lie] * (200 <= k < 1200))
+            present.append(bool(estimator.poses.present[row]))
+        after = present[1200:]
+        assert 0 < after.index(True) <= round(0.3 / DT_S) + 1 and all(after[after.index(True) :]), seed
 
 
 @pytest.mark.parametrize("off_m", [0.3, 9.0])
