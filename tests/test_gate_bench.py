@@ -7,9 +7,9 @@ import math
 import gate as bench
 import numpy as np
 import pytest
+from flight_tape import record, replay
 
 from risc_estimation.filters import make_filter
-from risc_experiments.flight_tape import record, replay
 from risc_experiments.offline import Flight
 from risc_lab.states import S
 

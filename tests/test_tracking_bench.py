@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tracking as bench
+from h2_limit import gust_limit_m
 
-from risc_control.h2_limit import gust_limit_m
 from risc_experiments.offline import Flight, RunningFlight, fly
 from risc_lab.lab import load_templates
 

@@ -30,13 +30,13 @@ from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
+from flight_tape import record, replay
 from scipy import stats
 
 from data_extraction.progress import Progress, bar
 from risc_estimation.filters import REGISTRY as FILTERS
 from risc_estimation.filters import make_filter
 from risc_estimation.pose_fit import PoseFitParams
-from risc_experiments.flight_tape import record, replay
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight
 from risc_experiments.offline_chain import FRAME_S
 from risc_experiments.workers import in_order

@@ -8,7 +8,7 @@ frames are lost, and two markers of a vehicle have each other's label, in each f
 Without gusts each course has limits (`most_m`): 5 mm of RMSE in the median of all vehicles, 12 mm for 95 % and 20 mm
 for all of them; 8 mm in the median with lost, late or swapped frames, 10 mm with a delay of more than 0.1 s.
 
-limit_m is that of `risc_control.h2_limit`: a controller that knows the nominal plant, the delay, the noise of a pose
+limit_m is that of `h2_limit.py`: a controller that knows the nominal plant, the delay, the noise of a pose
 and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands are of any size;
 limit_in_scale_m: three times their RMS is within the full scale of the type. Both have next to no margins, and `trade`
 says what these cost: the least RMSE of such controllers, tuned by two numbers, with no larger |S| than so.
@@ -21,10 +21,10 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from h2_limit import gust_limit_m, trade
 
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
-from risc_control.h2_limit import gust_limit_m, trade
 from risc_estimation.pose_fit import PoseFit, PoseFitParams
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, fly_all, lab_of

@@ -3,12 +3,12 @@
 import math
 from dataclasses import replace
 
+import h2_limit
 import numpy as np
 import pytest
+from h2_limit import Axis, axes_of, gust_limit_m, optimal_gain, rms, sampled_loop, trade
 from scipy.linalg import expm
 
-from risc_control import h2_limit
-from risc_control.h2_limit import Axis, axes_of, gust_limit_m, optimal_gain, rms, sampled_loop, trade
 from risc_lab.lab import load_vehicle_type
 
 DRONE = replace(load_vehicle_type("ardrone"), command_delay_s=0.1)
