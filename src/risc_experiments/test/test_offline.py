@@ -8,6 +8,7 @@ import pytest
 
 from risc_experiments import offline
 from risc_experiments.offline import Flight, fly
+from risc_experiments.offline_chain import FRAME_S
 
 HULL_M = 0.55
 
@@ -98,6 +99,23 @@ def test_gusts_and_an_ideal_plant_without_noise():
     assert ideal().rmse_m[0] < 0.002
     gusty = fly(Flight("circle", vehicles=1, psi_deg=29.0, duration_s=6.0, gusts=True))
     assert 0.01 < gusty.rmse_m[0] < 0.03
+
+
+@pytest.mark.parametrize(("estimator", "unseen_frames"), [("ekf", 3), ("least_squares", 9)])
+def test_a_reset_of_the_filter_makes_nobody_jump(estimator, unseen_frames):
+    """The vehicle is not visible until the filter is sure again; then it is where it was, and it flies on."""
+    running = offline.RunningFlight(Flight("circle", vehicles=1, seed=2, duration_s=2.0, estimator=estimator))
+    off_m, reset_s = [], math.inf
+    while not running.is_over:
+        if running._time_s >= running._settled_s + 1.0 and reset_s == math.inf:
+            running._estimator._filter.reset()
+            reset_s = running._time_s
+        running.frame()
+        if running._time_s > reset_s + 2.5 * FRAME_S:  # frames on their way were seen before
+            off = running._estimate.states[0, :3] - running._world.positions_m()[0]
+            off_m.append(np.linalg.norm(off) if running._estimate.visible[0] else math.nan)
+    assert 0 < np.isnan(off_m).sum() == np.isnan(off_m[:10]).sum() <= unseen_frames
+    assert np.nanmax(off_m) < 0.005 and running.outcome().max_m[0] < 0.015
 
 
 def test_the_nearest_two_of_all_pairs():
