@@ -40,7 +40,8 @@ MODEL = record(
     "acceleration climb_acceleration roll_noise pitch_noise yaw_noise disturbance disturbance_1_s",
     "free_acceleration free_angular",
 )
-TRACK = record("stamp_s", ("x", float, (DIM,)), ("P", float, (DIM, DIM)))
+# surprise: the innovations of position in units of their sigma, smoothed
+TRACK = record("stamp_s", ("surprise", float, (3,)), ("x", float, (DIM,)), ("P", float, (DIM, DIM)))
 WORK = record(
     ("slope", float, (DIM,)),
     ("mid", float, (DIM,)),
@@ -115,6 +116,25 @@ def predict(track, stamp_s, model, sent, work):
         k = last_by(sent, time_s, sent.newest)
         _step(track.x, track.P, model, sent.commands[k % ROWS], _is_free(track.x, time_s, k, model, sent), dt, work)
     track.stamp_s = stamp_s
+
+
+@compiled
+def copy_track(to, track):
+    """A TRACK into another one."""
+    to.stamp_s, to.surprise[:], to.x[:], to.P[:, :] = track.stamp_s, track.surprise, track.x, track.P
+
+
+@compiled
+def push(track, m_s2, for_s):
+    """Something unknown may have pushed a TRACK for so long, along each axis, and goes on: 1 sigma of its acceleration.
+    """
+    variance = m_s2 * m_s2
+    for k in range(3):
+        by = 0.5 * for_s * for_s, for_s, 1.0
+        at = _X + k, _V + k, _D + k
+        for i in range(3):
+            for j in range(3):
+                track.P[at[i], at[j]] += by[i] * by[j] * variance
 
 
 @compiled

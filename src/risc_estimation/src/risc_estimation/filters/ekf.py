@@ -4,6 +4,10 @@ Every frame is an event of each body: the filter is brought to its stamp, and a 
 is refused, position and attitude each for itself, when its innovation is so large as one in 1 / gate_probability is.
 A late pose is put where it belongs, and what came after it is filtered again.
 
+What pushes a vehicle otherwise than its model says, and begins at once (a load, wind), makes innovations grow to one
+side over several poses, where a false pose makes one large at once. When the mean of those of position is too large,
+the state is taken for uncertain by a push of `push_m_s2` before the next pose is judged.
+
 A body has a track, which is visible, and up to two others. One begins with a pose that the track refuses: when poses
 have agreed with it, and not with the track, for `readmit_s`, it becomes the track. The other one is the track that it
 replaced, which is the track again with the first pose that agrees with it, and is forgotten after `remember_s`: what is
@@ -16,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from risc_estimation.ekf import MODEL, TRACK, WORK, acceleration, correct, innovate, predict
+from risc_estimation.ekf import MODEL, TRACK, WORK, acceleration, copy_track, correct, innovate, predict, push
 from risc_estimation.filters import COMMAND, COUNTS, Innovations, Status, VelocityFilter
 from risc_lab.command_history import CommandHistory, append_command
 from risc_lab.compiled import compiled, record, with_row
@@ -31,6 +35,9 @@ _TIME, POSE, _VELOCITY, _ATTITUDE = range(4)  # kinds of events
 MEASURES = np.array([[0] * 6, [0, 1, 2, 6, 7, 8], [3, 4, 0, 0, 0, 0], [6, 7, 0, 0, 0, 0]])
 _UNKNOWN_M_S, _UNKNOWN_RAD_S, _UNKNOWN_M_S2 = 2.0, 2.0, 0.5  # 1 sigma where nothing was measured yet
 _CANDIDATE, _FORMER = 0, 1  # the other tracks
+_SMOOTHS = 0.2  # share of the newest innovation in their mean, which is a push from this square on
+_TOO_LARGE = 30.0 * _SMOOTHS / (2.0 - _SMOOTHS)
+_PUSHED_S = 0.05  # since when it is pushed
 _LOST_M2 = 1.0  # variance of the position of a track that is given up
 
 
@@ -47,6 +54,7 @@ class Params(Settings):
     disturbance_time_s: Positive
     free_acceleration: Positive
     free_angular: Positive
+    push_m_s2: NotNegative
     velocity_noise_m_s: Positive
     attitude_noise_rad: Positive
     settled_m_s: Positive
@@ -57,7 +65,7 @@ class Params(Settings):
     late_s: between(0.0, 0.5)
 
 
-SETTINGS = record("gate settled_m2_s2 coast_s coast_m2 readmit_s remember_s")
+SETTINGS = record("gate push_m_s2 settled_m2_s2 coast_s coast_m2 readmit_s remember_s")
 BODY = record(("count", int), ("newest", int), ("status", int), "taken_s")
 SLOT = record(("track", TRACK), ("kind", int), ("z", float, (6,)), ("R", float, (6, 6)), ("taken", int, (2,)))
 OTHER = record(("track", TRACK), ("lives", bool), "since_s taken_s")
@@ -76,8 +84,8 @@ class Filter(VelocityFilter):
         self.late_s = params.late_s
         # a probability of 0 switches the gate off
         gate = chdtri(3, params.gate_probability) if params.gate_probability > 0.0 else math.inf
-        settings = gate, params.settled_m_s**2, params.coast_s, params.coast_m**2, params.readmit_s, params.remember_s
-        self._settings = np.array([settings], SETTINGS)
+        settings = gate, params.push_m_s2, params.settled_m_s**2, params.coast_s, params.coast_m**2
+        self._settings = np.array([(*settings, params.readmit_s, params.remember_s)], SETTINGS)
         self._work, self._counts = np.zeros(1, WORK), np.zeros(0, COUNTS)
         self._models, self._bodies = np.zeros(0, MODEL), np.zeros(0, BODY)
         self._slots, self._others = np.zeros((0, _SLOTS), SLOT), np.zeros((0, 2), OTHER)
@@ -306,7 +314,7 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
         before, slot = slots[(k - 1) % n], slots[k % n]
         if k > place:
             stamps_s = slot.track.stamp_s
-        slot.track.x[:], slot.track.P[:, :], slot.track.stamp_s = before.track.x, before.track.P, before.track.stamp_s
+        copy_track(slot.track, before.track)
         predict(slot.track, stamps_s, model, sent, work)
         _measure(slot, settings, work)
     is_newest = place == body.newest + 1
@@ -330,7 +338,7 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
 @compiled
 def _begin(track, stamp_s, z, R):
     """A new track by a pose alone."""
-    track.stamp_s, track.x[:], track.P[:, :] = stamp_s, 0.0, 0.0
+    track.stamp_s, track.surprise[:], track.x[:], track.P[:, :] = stamp_s, 0.0, 0.0, 0.0
     for i in range(6):
         track.x[MEASURES[POSE, i]] = z[i]
         for j in range(6):
@@ -363,8 +371,15 @@ def _measure(slot, settings, work):
 def _take_pose(track, z, R, taken, settings, work):
     """Position and attitude, each if it passes the gate."""
     rows = MEASURES[POSE]
+    mean = track.surprise
+    if mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2] > _TOO_LARGE and settings.push_m_s2 > 0.0:
+        push(track, settings.push_m_s2, _PUSHED_S)
+        mean[:] = 0.0
     taken[1] = innovate(track, z, R, rows, 3, 3, work) <= settings.gate
     taken[0] = innovate(track, z, R, rows, 0, 3, work) <= settings.gate
+    if taken[0]:
+        for k in range(3):
+            mean[k] += _SMOOTHS * (work.y[k] - mean[k])
     if taken[0] and taken[1]:
         innovate(track, z, R, rows, 0, 6, work)
         correct(track, rows, 0, 6, work)
@@ -387,7 +402,7 @@ def _innovations(stamp_s, squares, taken, models, bodies, slots, sent, spare, wo
                 break
             if slot.kind != POSE or slot.track.stamp_s > stamp_s:
                 continue
-            track.x[:], track.P[:, :], track.stamp_s = before.track.x, before.track.P, before.track.stamp_s
+            copy_track(track, before.track)
             predict(track, stamp_s, models[i], sent[i], work[0])
             for j in range(3):
                 squares[i, j] = innovate(track, slot.z, slot.R, rows, 3 * (j % 2), 6 if j == 2 else 3, work[0])
@@ -428,7 +443,8 @@ def _change_to(stamp_s, other, former, body, slots):
     """The other track becomes the one of the body, which becomes the former one."""
     slot = slots[body.newest % len(slots)]
     x, P, taken_s = slot.track.x.copy(), slot.track.P.copy(), body.taken_s
-    slot.track.x[:], slot.track.P[:, :] = other.track.x, other.track.P
+    slot.track.surprise[:], slot.track.x[:], slot.track.P[:, :] = other.track.surprise, other.track.x, other.track.P
     body.taken_s, body.count = stamp_s, 1
     former.track.x[:], former.track.P[:, :], former.track.stamp_s = x, P, stamp_s
+    former.track.surprise[:] = 0.0
     former.lives, former.taken_s = True, taken_s
