@@ -293,7 +293,8 @@ class SerialNodeTest(unittest.TestCase):
             publisher.publish(old)
             publisher.publish(fresh)
             wait_for(lambda: serialised(fresh) in board.of_topic(CONTROLS), "the fresh one")
-            wait_for(lambda: node.counter("late") == 1, "a report")
+            # more of them on a busy computer, where a command of `works` may be late, too
+            wait_for(lambda: node.counter("late") >= 1, "a report")
             self.assertNotIn(serialised(old), board.of_topic(CONTROLS))
             unstamped = Controls(Header(), commands(7.0).Obj)
             publisher.publish(unstamped)

@@ -126,8 +126,7 @@ def copy_track(to, track):
 
 @compiled
 def push(track, m_s2, for_s):
-    """Something unknown may have pushed a TRACK for so long, along each axis, and goes on: 1 sigma of its acceleration.
-    """
+    """Something unknown may have pushed a TRACK along each axis for so long, and go on. m_s2: 1 sigma."""
     variance = m_s2 * m_s2
     for k in range(3):
         by = 0.5 * for_s * for_s, for_s, 1.0
