@@ -9,6 +9,7 @@ import pytest
 from risc_experiments import offline
 from risc_experiments.offline import Flight, fly
 from risc_experiments.offline_chain import FRAME_S
+from risc_simulator.faults import parse_fault
 
 HULL_M = 0.55
 
@@ -116,6 +117,22 @@ def test_a_reset_of_the_filter_makes_nobody_jump(estimator, unseen_frames):
             off_m.append(np.linalg.norm(off) if running._estimate.visible[0] else math.nan)
     assert 0 < np.isnan(off_m).sum() == np.isnan(off_m[:10]).sum() <= unseen_frames
     assert np.nanmax(off_m) < 0.005 and running.outcome().max_m[0] < 0.015
+
+
+def test_a_load_that_is_put_on_at_once_is_followed():
+    """By the filter ekf, whose model does not know of it."""
+
+    def outcome(follows):
+        load = parse_fault("added_mass:0.2,duration_s=5@1")
+        running = offline.RunningFlight(Flight("circle", vehicles=1, duration_s=5.0, estimator="ekf", faults=(load,)))
+        if not follows:
+            running._estimator._filter._settings["push_m_s2"] = 0.0
+        while not running.is_over:
+            running.frame()
+        return running.outcome().faults[0].outcome
+
+    assert outcome(True) == "completed"
+    assert outcome(False) == "landed"  # the control arm
 
 
 def test_the_nearest_two_of_all_pairs():

@@ -1,5 +1,6 @@
 """Items in processes: their order, how many are held, and that no worker is left, whatever ends it."""
 
+import importlib
 import multiprocessing
 import os
 import signal
@@ -48,6 +49,10 @@ def hold_semaphore(then_s):
     time.sleep(then_s)
 
 
+def message_of(package):
+    return importlib.import_module(package + ".msg").__name__
+
+
 def own_pid(_):
     return os.getpid()
 
@@ -87,6 +92,15 @@ def test_a_worker_that_dies_is_one_clear_error():
     with pytest.raises(ChildProcessError, match=r"signal 9.* 5"):
         list(in_order(die_of, range(8), 2))
     assert not multiprocessing.active_children()
+
+
+def test_workers_find_built_messages_beside_sources(monkeypatch):
+    """Where the caller's path has the sources of a package first, as after its import."""
+    import ardrone_autonomy
+
+    source = [path for path in ardrone_autonomy.__path__ if "devel" not in path][0]
+    monkeypatch.syspath_prepend(os.path.dirname(source))
+    assert list(in_order(message_of, ["ardrone_autonomy"] * 2, 2)) == ["ardrone_autonomy.msg"] * 2
 
 
 def test_no_workers_are_refused_at_once():

@@ -117,6 +117,9 @@ def _work(function, connection):
     """What a worker does until its caller ends it, or has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal; the caller ends the workers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # in the middle of an item, too
+    # Packages of the workspace put their sources first when they are imported, as in the caller, whose path this is.
+    # Only the built ones, which the environment names, have messages.
+    sys.path[:] = dict.fromkeys([*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *sys.path])
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             item = connection.recv()
