@@ -141,6 +141,7 @@ def main(arguments=None):
     add("--mocap-rate", type=float, default=200.0, help="[Hz]")
     add("--out", type=pathlib.Path, help="folder for the flights (default: flights/false_states_DATE)")
     add("--json", type=pathlib.Path, help="write the rows here, after each one")
+    parser.set_defaults(fleet=None)  # that of circles3, see faults.fly
     args = parser.parse_args(arguments)
     out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("false_states_%Y%m%d-%H%M%S")
     print("%-14s %7s %7s %8s %8s %7s %15s %15s" % ("fault", "events", "false", "harmful", "share", "after",
