@@ -70,7 +70,7 @@ class Program:
         self.process.stdin.write(line + "\n")
         self.process.stdin.flush()
 
-    def wait(self, pattern, after=0):
+    def wait(self, pattern, after=0, limit_s=PATIENCE_S):
         """(match, time) of the first line from number `after` on in which the pattern is found."""
 
         def found():
@@ -78,7 +78,7 @@ class Program:
             return next((hit for hit in hits if hit[0]), None)
 
         with self._changed:
-            hit = self._changed.wait_for(found, PATIENCE_S)
+            hit = self._changed.wait_for(found, limit_s)
         assert hit, "nothing like %r in:\n%s" % (pattern, self.output)
         return hit
 
@@ -87,6 +87,17 @@ class Program:
         after = len(self.lines)
         self.say(line)
         return self.wait(pattern, after)[0]
+
+    def poll(self, line, pattern):
+        """The same, asked again and again: MAVProxy says nothing of a message that has not come yet."""
+        after, end_s = len(self.lines), time.monotonic() + PATIENCE_S
+        while True:
+            self.say(line)
+            try:
+                return self.wait(pattern, after, limit_s=1.0)[0]
+            except AssertionError:
+                if time.monotonic() > end_s:
+                    raise
 
     def end(self):
         self.process.stdin.close()
@@ -181,7 +192,7 @@ def test_mavproxy(lab, transmitter, tmp_path):
         height_mm, end_s = 0, time.monotonic() + PATIENCE_S
         while height_mm < 600 and time.monotonic() < end_s:
             height_mm = int(
-                station.ask("status GLOBAL_POSITION_INT", r"GLOBAL_POSITION_INT .*relative_alt : (-?\d+)")[1]
+                station.poll("status GLOBAL_POSITION_INT", r"GLOBAL_POSITION_INT .*relative_alt : (-?\d+)")[1]
             )
         assert height_mm >= 600
         transmitter.throttle = 0.0
