@@ -145,16 +145,16 @@ class SafetyLadder:
         self._position_m = None
         self._land_since_s = None
 
-    def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s, pushes=()):
+    def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s, pushes=(), lands=False):
         """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame.
 
-        pushes: accelerations (3,) [m/s^2] that its tilt makes, or will make.
+        pushes: accelerations (3,) [m/s^2] that its tilt makes, or will make.  lands: by itself; nobody can hold it.
         """
         self.state.note(age_at_arrival_s, now_s)
         self.suspect = ""
         self._position_m = position_m
         self._outside.note(self.fence.is_outside(position_m), now_s)
-        self._leaves.note(self.fence.leaves(position_m, velocity_m_s, pushes), now_s)
+        self._leaves.note(not lands and self.fence.leaves(position_m, velocity_m_s, pushes), now_s)
         if self._leaves.lasts(self.limits.fence_delay_s):
             self._left_s = now_s
 

@@ -311,7 +311,7 @@ class VehiclePilot:
         self.ladder.note_look(look, now_s)
         *told, up = self._told_push(now_s)
         pushes = [pushed_m_s2(*tilt, psi_rad, up) for tilt in ((phi_rad, theta_rad), told)]
-        self.ladder.note_state(position_m, velocity_m_s, age_s, now_s, pushes)
+        self.ladder.note_state(position_m, velocity_m_s, age_s, now_s, pushes, self.flight_state == _LANDING)
         self._looks_s.append(now_s)
         self._state, self._unseen = own, False
         self._state_s = now_s - max(age_s, 0.0)
