@@ -221,7 +221,11 @@ def test_what_cannot_be_true_is_refused_at_once():
                 assert estimate.visible[0] and flown.estimator.status() == [Status.SUSPECT]
         worst_m[gate] = max(errors)
         if gate:
-            assert flown.error_m(flown.fly(DT_S)) < 0.005 and flown.estimator.status() == [Status.TRACKED]
+            assert flown.error_m(flown.fly(DT_S)) < 0.005 and flown.estimator.status() == [Status.REACQUIRED]
+            flown.fly(0.1)
+            assert flown.estimator.status() == [Status.REACQUIRED], "a tenth of a second, its last frame included"
+            flown.fly(DT_S)
+            assert flown.estimator.status() == [Status.TRACKED]
     assert worst_m[1e-5] < 0.01 and worst_m[0.0] > 0.3
 
 
@@ -250,6 +254,19 @@ def test_who_is_not_seen_is_predicted_for_a_while():
             assert flown.estimator.status() == [Status.PREDICTED] and flown.error_m(estimate) < 0.03
     assert 0.75 < DT_S * sum(shown) < 0.85 and not shown[-1]
     assert flown.fly(DT_S).visible[0], "the first good frame is believed"
+    assert flown.estimator.status() == [Status.REACQUIRED]
+
+
+@pytest.mark.parametrize(("gone_s", "status"), [(0.05, Status.TRACKED), (0.15, Status.REACQUIRED)])
+def test_who_was_gone_for_a_few_frames_is_tracked_as_before(gone_s, status):
+    flown = Flown(14)
+    flown.fly(1.5)
+    lost = np.full_like(TEMPLATES[flown.name].markers_m, np.nan)
+    for _ in range(round(gone_s / DT_S)):
+        stamp_s, layout, _ = flown.step()
+        flown.estimator.update(stamp_s, layout, lost)
+    flown.fly(DT_S)
+    assert flown.estimator.status() == [status]
 
 
 def test_what_agrees_for_long_is_believed_and_the_truth_at_once():
@@ -263,6 +280,7 @@ def test_what_agrees_for_long_is_believed_and_the_truth_at_once():
     assert DT_S * believed.index(True) == pytest.approx(0.3, abs=0.02)
     estimate = flown.fly(DT_S)
     assert estimate.visible[0] and flown.error_m(estimate) < 0.03
+    assert flown.estimator.status() == [Status.REACQUIRED]
 
 
 def test_the_acceleration_is_that_of_the_model_and_nobodys_without_commands():

@@ -30,6 +30,7 @@ class Status(enum.IntEnum):
     TRACKED = 3
     PREDICTED = 4  # no pose in this frame: the filter goes on without
     SUSPECT = 5  # a pose that cannot be true: the filter goes on without
+    REACQUIRED = 6  # tracked again, for a short time so far: the state may have jumped
 
 
 # What has become of the poses of a body, from the start on; `risc_maap_msgs/BodyStatus` explains them.

@@ -39,6 +39,7 @@ _SMOOTHS = 0.2  # share of the newest innovation in their mean, which is a push 
 _TOO_LARGE = 30.0 * _SMOOTHS / (2.0 - _SMOOTHS)
 _PUSHED_S = 0.05  # since when it is pushed
 _LOST_M2 = 1.0  # variance of the position of a track that is given up
+_GONE_S = 0.1  # who had no pose for longer is acquired again, and said to be for as long
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Params(Settings):
 
 
 SETTINGS = record("gate push_m_s2 settled_m2_s2 coast_s coast_m2 readmit_s remember_s")
-BODY = record(("count", int), ("newest", int), ("status", int), "taken_s")
+BODY = record(("count", int), ("newest", int), ("status", int), "taken_s again_s")
 SLOT = record(("track", TRACK), ("kind", int), ("z", float, (6,)), ("R", float, (6, 6)), ("taken", int, (2,)))
 OTHER = record(("track", TRACK), ("lives", bool), "since_s taken_s")
 
@@ -226,7 +227,10 @@ def _update(
             body.status = Status.SETTLING
         else:
             visible[i] = True
-            body.status = Status.TRACKED if unseen_s <= 0.0 else (Status.SUSPECT if present else Status.PREDICTED)
+            if unseen_s > 0.0:
+                body.status = Status.SUSPECT if present else Status.PREDICTED
+            else:
+                body.status = Status.TRACKED if stamp_s - body.again_s > _GONE_S else Status.REACQUIRED
             for k in range(12):
                 states[i, k] = wrap_one_angle(track.x[k]) if 6 <= k < 9 else track.x[k]
 
@@ -290,7 +294,7 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
         if kind == POSE:
             counts.resets += counts.poses > 0  # it was another one before
             counts.poses += 1
-            body.count, body.newest, body.taken_s = 1, 0, stamp_s
+            body.count, body.newest, body.taken_s, body.again_s = 1, 0, stamp_s, stamp_s
             _begin(slots[0].track, stamp_s, z, R)
             others[_CANDIDATE].lives = others[_FORMER].lives = False
         return
@@ -327,6 +331,8 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
     counts.positions_refused += 1 - slot.taken[0]
     counts.attitudes_refused += 1 - slot.taken[1]
     if slot.taken[0]:
+        if stamp_s - body.taken_s > _GONE_S:
+            body.again_s = stamp_s
         body.taken_s = max(body.taken_s, stamp_s)
     if slot.taken[0] and slot.taken[1]:
         others[_CANDIDATE].lives = False
@@ -444,7 +450,7 @@ def _change_to(stamp_s, other, former, body, slots):
     slot = slots[body.newest % len(slots)]
     x, P, taken_s = slot.track.x.copy(), slot.track.P.copy(), body.taken_s
     slot.track.surprise[:], slot.track.x[:], slot.track.P[:, :] = other.track.surprise, other.track.x, other.track.P
-    body.taken_s, body.count = stamp_s, 1
+    body.taken_s, body.again_s, body.count = stamp_s, stamp_s, 1
     former.track.x[:], former.track.P[:, :], former.track.stamp_s = x, P, stamp_s
     former.track.surprise[:] = 0.0
     former.lives, former.taken_s = True, taken_s
