@@ -138,16 +138,14 @@ def fit(points, order):
         raise ValueError(text % (*points.pct[[-1, 0]], count, order, _PCT_PER_ORDER * order, order + 2))
     domain = points.pct[[0, -1]]
     offset, scale = Polynomial([0.0], domain).mapparms()
-    weights = np.sqrt(points.seconds / points.seconds.mean())[:, None]
-    design = weights * np.vander(offset + scale * points.pct, order + 1, increasing=True)
-    values = weights[:, 0] * points.throttle
-    scaled, *_ = np.linalg.lstsq(design, values, rcond=None)
-    free = count - order - 1
-    covariance = np.linalg.inv(design.T @ design) * np.sum((values - design @ scaled) ** 2) / free
+    scaled, covariance = np.polyfit(
+        offset + scale * points.pct, points.throttle, order, w=np.sqrt(points.seconds), cov=True
+    )
+    scaled, covariance = scaled[::-1], covariance[::-1, ::-1]
     # column j: the j-th power of the scaled percent in powers of the percent
     powers = [Polynomial([offset, scale]) ** j for j in range(order + 1)]
     to_raw = np.column_stack([np.pad(power.coef, (0, order - j)) for j, power in enumerate(powers)])
-    quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, free))
+    quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, count - order - 1))
     intervals = quantile * np.sqrt(np.diag(to_raw @ covariance @ to_raw.T))
     return ThrottleFit(points, to_raw @ scaled, intervals, Polynomial(scaled, domain), covariance, quantile)
 

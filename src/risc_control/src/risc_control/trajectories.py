@@ -439,11 +439,6 @@ def speed_text(course, factor):
     return "%.2f" % speed if own_m_s else "%.2fx" % speed
 
 
-def peak_yaw_rate_rad_s(course):
-    """Largest yaw rate [rad/s] that a course asks for."""
-    return float(np.abs(course.over_period(400, Order.VELOCITY)[:, Order.VELOCITY, :, Axis.PSI]).max())
-
-
 @compiled
 def minimum_separation(positions_m):
     """Smallest distance [m] between any two of n vehicles over positions (k, n, 3 or more); inf for one vehicle."""
