@@ -259,7 +259,9 @@ def test_a_device_that_is_forbidden_says_what_to_do(serial, monkeypatch):
 
 
 def test_a_line_that_takes_nothing_does_not_stop_what_comes(serial):
-    """A serial line holds a few kilobytes; what it does not take is lost, and telemetry goes on."""
+    """A serial line holds a few kilobytes; what it does not take is lost, telemetry goes on, and no half of a message
+    is on the line when it takes more.
+    """
     master, slave = os.openpty()
     tty.setraw(slave)
     os.symlink(os.ttyname(slave), serial)
@@ -277,6 +279,17 @@ def test_a_line_that_takes_nothing_does_not_stop_what_comes(serial):
         before = len(driver.messages)
         os.write(master, mavlink.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0).pack(packer))
         wait_for(lambda: len(driver.messages) > before, "telemetry")
+        parser, taken, sent = mavlink.MAVLink(None), [], driver.link.counts["sent bytes"]
+        parser.robust_parsing = True
+
+        def empty():
+            driver.link.post(driver.link.autopilot.override, STICKS, time.monotonic())
+            taken.extend(parser.parse_buffer(os.read(master, 65536)) or ())
+            return driver.link.counts["sent bytes"] > sent + 2000
+
+        wait_for(empty, "the line to be used again")
+    assert {message.get_type() for message in taken} >= {"RC_CHANNELS_OVERRIDE"}
+    assert not any(message.get_type() == "BAD_DATA" for message in taken)
     for end in (master, slave):
         os.close(end)
 

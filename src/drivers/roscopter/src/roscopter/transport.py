@@ -61,7 +61,27 @@ def _network(device):
     return kind, (host, int(port)), match[4]
 
 
-class Serial:
+class _Stream:
+    """Takes bytes one after another. A frame that it has taken the begin of is completed before the next: half of one
+    would swallow those that follow.
+    """
+
+    _rest = b""
+
+    def write(self, data):
+        """Whether it takes them, at once or the end of them later. What it takes nothing of is lost."""
+        try:
+            if self._rest:
+                self._rest = self._rest[self._put(self._rest) :]
+            if self._rest:
+                return False
+            self._rest = data[self._put(data) :]
+        except BlockingIOError:
+            return False
+        return True
+
+
+class Serial(_Stream):
     """A serial line, or a pseudo terminal."""
 
     def __init__(self, path, baudrate):
@@ -78,12 +98,8 @@ class Serial:
             raise OSError("it was unplugged")
         return data, None
 
-    def write(self, data):
-        """Whether all of it was taken. What the line does not take at once is lost."""
-        try:
-            return os.write(self._port.fileno(), data) == len(data)
-        except BlockingIOError:
-            return False
+    def _put(self, data):
+        return os.write(self._port.fileno(), data)
 
     def answer_to(self, source):
         """The vehicle is there: where its messages come from."""
@@ -184,13 +200,14 @@ class UdpServer(_Socket):
             self._hear(source[0])
 
 
-class Tcp(_Socket):
+class Tcp(_Stream, _Socket):
     """A connection to a server."""
 
     def __init__(self, address):
         sock = socket.create_connection(address, CONNECT_S)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         super().__init__(sock)
+        self._put = sock.send
 
     def read(self):
         try:
