@@ -783,7 +783,9 @@ def test_arming_and_disarming(lab):
     autopilot.trouble = "Throttle too high"
     assert lab.order(400, 1.0) == (FAILED, []) and not autopilot.armed
     assert names(lab.run(0.01)) == ["STATUSTEXT"]
-    assert lab.order(400, 1.0, 21196.0) == (ACCEPTED, []) and autopilot.armed
+    assert lab.order(400, 1.0, 21196.0)[0] == FAILED and not autopilot.armed, "that is the number for disarming"
+    lab.run(0.01)
+    assert lab.order(400, 1.0, 2989.0) == (ACCEPTED, []) and autopilot.armed
     autopilot.vehicle.phase = FlightPhase.FLYING
     assert lab.order(400, 0.0)[0] == FAILED and autopilot.armed
     assert lab.order(400, 0.0, 2989.0)[0] == FAILED and autopilot.armed

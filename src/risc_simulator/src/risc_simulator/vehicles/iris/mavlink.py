@@ -45,7 +45,7 @@ MAX_DATAGRAM_BYTES = 4096  # some frames of 300 bytes; larger ones cost only tim
 MAX_MISSES = 50  # what may look like a frame in a datagram, and be none, before the rest is given up
 PARAMETERS_PER_TICK = 5
 TEXT_LENGTH = 50
-FORCE = 21196  # param2 of an order to arm or disarm that is to be obeyed in any case
+FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0  # ArduPilot's param2 of an order that is to be obeyed in any case
 OVERRIDE_LEAST_US, OVERRIDE_MOST_US = 800, 2200
 INVALID_AXIS = 32767
 _RELEASE_UPPER = 65534  # in channels 9 to 18, where 0 means: leave it
@@ -520,11 +520,10 @@ class Mavlink:
         self._send(client, mavlink.MAVLink_command_ack_message(command, result, 0, 0, *sender))
 
     def _arm_or_disarm(self, params, _client):
-        by_force = round(params[1]) == FORCE
         if params[0] not in (0.0, 1.0):
             return _DENIED
-        order = self._autopilot.arm if params[0] else self._autopilot.disarm
-        return _FAILED if order(by_force) else _ACCEPTED
+        order, force = (self._autopilot.arm, FORCE_ARM) if params[0] else (self._autopilot.disarm, FORCE_DISARM)
+        return _FAILED if order(params[1] == force) else _ACCEPTED
 
     def _terminate_flight(self, params, _client):
         if params[0] < 0.5:
