@@ -62,6 +62,14 @@ def arguments(**given):
 
 
 @pytest.mark.release
+def test_what_margins_cost_is_drawn_beside_the_controller(tmp_path):
+    picture = tmp_path / "trade.png"
+    rows(tmp_path, "--plant", "nominal", "--gust", "0.1", "--plot", str(picture))
+    assert picture.stat().st_size > 10_000
+    assert bench.own_max_s(bench.flight_of(arguments())) == pytest.approx(1.98, abs=0.03)
+
+
+@pytest.mark.release
 def test_the_limit_is_that_of_what_is_flown():
     flight = bench.flight_of(arguments(gust=0.1, delay=0.2))
     assert flight.gusts.push_m_s2 == 0.1 and flight.gusts.time_s == 0.5 and not flight.perturbed
@@ -110,6 +118,7 @@ def test_what_is_harder_has_other_limits_or_none():
         (["--loss", "1.5"], "loss"),
         (["--swap", "-0.1"], "marker_swap"),
         (["--delay", "-1"], "command_delay_s"),
+        (["--plot", "trade.png"], "--gust"),
     ],
 )
 def test_wrong_use_is_refused(wrong, named, capsys):

@@ -11,21 +11,26 @@ for all of them; 8 mm in the median with lost, late or swapped frames, 10 mm wit
 limit_m is that of `h2_limit.py`: a controller that knows the nominal plant, the delay, the noise of a pose
 and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands are of any size;
 limit_in_scale_m: three times their RMS is within the full scale of the type. Both have next to no margins, and `trade`
-says what these cost: the least RMSE of such controllers, tuned by two numbers, with no larger |S| than so.
+says what these cost: the least RMSE of such controllers, tuned by two numbers, with no larger |S| than so. `--plot`
+draws it, and the controller that was flown beside it, with the max|S| that `loop_margins.py` finds.
 """
 
 import argparse
 import json
 import math
+import pathlib
 import sys
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 from h2_limit import gust_limit_m, trade
 
+from data_extraction.plots import COLOURS
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_estimation.pose_fit import PoseFit, PoseFitParams
+from risc_experiments import loop_margins
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, fly_all, lab_of
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S
@@ -72,6 +77,30 @@ def limits_of(flight, gust_m_s2):
         if gust_m_s2
         else [],
     }
+
+
+def own_max_s(flight):
+    """Largest |S| of roll and pitch of the loop that flies a Flight, whose plant is nominal in this."""
+    hovering = replace(flight, perturbed=False, gusts=False, wire_faults=())
+    answers = loop_margins.responses(hovering).T
+    return max(loop_margins.margins(loop_margins.sensitivity(answer)).max_s for answer in answers[:2])
+
+
+def draw_trade(path, limits, flown, max_s, title):
+    """Picture of what margins cost. flown: {name: RMSE [m]} of courses by the controller, which has this max|S|."""
+    figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
+    points = [(point["max_s"], 1e3 * point["rmse_m"]) for point in limits["trade"]]
+    axes.plot(*zip(*points), "o-", color=COLOURS[0], label="knows plant, delay, noise and gusts; max|S| bounded")
+    for key, style, label in ("limit_m", ":", "any commands"), ("limit_in_scale_m", "--", "commands in the full scale"):
+        axes.axhline(1e3 * limits[key], color=COLOURS[5], ls=style, label="H2 limit, %s" % label)
+    for name, colour in zip(flown, COLOURS[1:]):
+        axes.plot(max_s, 1e3 * flown[name], "D", color=colour, label="flown: %s" % name)
+    axes.axvline(2.0, color="0.7", lw=1.0)
+    axes.set(xlabel="largest |S|", ylabel="position RMSE [mm]", title=title, ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
 
 
 def pose_covariance(template):
@@ -127,11 +156,14 @@ def main(arguments=None):
     add_option(add)
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     add("--json", type=argparse.FileType("w"), metavar="FILE", help="also write the figures here")
+    add("--plot", type=pathlib.Path, metavar="FILE", help="with --gust: draw what margins cost (.png, .pdf)")
     args = parser.parse_args(arguments)
     progress = Progress()
     try:
         if args.seeds < 1 or not args.duration > 0.0 or args.gust < 0.0:
             raise ValueError("--seeds is 1 or more, --duration more than 0, --gust 0 or more")
+        if args.plot and not args.gust:
+            raise ValueError("--plot draws what margins cost in gusts: it needs --gust")
         flight, rows = flight_of(args), []
         limits = limits_of(flight, args.gust)
         seeds = [replace(flight, seed=seed, psi_deg=YAW_BY_SEED_DEG * seed) for seed in range(1, args.seeds + 1)]
@@ -157,6 +189,14 @@ def main(arguments=None):
         figures |= {name: getattr(args, name) for name in options}
         with args.json:
             json.dump({**figures, "rows": rows, "trade": limits["trade"]}, args.json, indent=2)
+    if args.plot:
+        flown = {row["course"]: row["rmse_median_m"] for row in rows if row["rmse_median_m"] is not None}
+        title = "Gusts of %g m/s$^2$, link delay %g s, %s plant" % (args.gust, args.delay, args.plant)
+        try:
+            draw_trade(args.plot, limits, flown, own_max_s(flight), title)
+        except (RuntimeError, OSError) as error:
+            progress.say("tracking: no picture: %s" % error)
+            return 1
     return 0 if all(map(is_met, rows)) else 1
 
 
