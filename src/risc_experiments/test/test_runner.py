@@ -21,7 +21,7 @@ from risc_experiments.judge import judge
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_lab.lab import Arena, generated_fleet, load_fleet
 from risc_lab.phases import OutCause
-from risc_lab.ros.launching import MARK, PortReservation, free_tcp_port, marked_processes, wait_until
+from risc_lab.ros.launching import MARK, Launch, PortReservation, free_tcp_port, marked_processes, wait_until
 
 
 def vehicle(**changes):
@@ -159,6 +159,27 @@ time.sleep(60.0)"""
         assert wait_until(lambda: any("/rosout " in command for command in marked_processes(identity).values()), 30.0)
         program.kill()
     assert wait_until(lambda: not marked_processes(identity), 30.0)
+
+
+def test_nothing_is_launched_before_the_master_says_what_its_run_is_called(tmp_path, monkeypatch):
+    """roslaunch would make up a name of its own, and end. This master listens for a second before."""
+    master = """import sys, time
+from xmlrpc.server import SimpleXMLRPCServer
+begin_s, server = time.monotonic(), SimpleXMLRPCServer(("127.0.0.1", int(sys.argv[2])), logRequests=False)
+server.register_function(lambda caller, key: [1, "", time.monotonic() > begin_s + 1.0], "hasParam")
+server.serve_forever()"""
+    launch = """import os, xmlrpc.client
+print("is up:", xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"]).hasParam("/test", "/run_id")[2])"""
+    for name, text in (("roscore", master), ("roslaunch", launch)):
+        (tmp_path / name).write_text("#!%s\n%s\n" % (sys.executable, text))
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    started = Launch("any.launch", {}, tmp_path, free_tcp_port())
+    try:
+        assert wait_until(lambda: not started.running(), 30.0)
+        assert started.log_tail() == "is up: True"
+    finally:
+        started.stop()
 
 
 def test_reservations_do_not_share_a_subnet():

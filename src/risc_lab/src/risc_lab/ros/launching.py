@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import http.client
 import os
 import pathlib
 import random
@@ -11,6 +12,7 @@ import socket
 import subprocess
 import time
 import uuid
+import xmlrpc.client
 
 import psutil
 
@@ -104,7 +106,7 @@ class Launch:
             self._core = None
             if not _listens(master_port):
                 self._core = start(mortal("TERM", ["roscore", "-p", master_port]))
-                wait_until(lambda: _listens(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
+                wait_until(lambda: _is_up(master_port) or self._core.poll() is not None, _MASTER_PATIENCE_S, 0.02)
             self._process = start(mortal("TERM", ["roslaunch", "--skip-log-check", launch_file, *arguments]))
 
     def running(self):
@@ -171,6 +173,17 @@ def _listens(port):
     """Whether a program of this computer listens on a TCP port."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def _is_up(port):
+    """Whether a roscore listens and has named its run: a roslaunch that comes sooner gives it a name of
+    its own, and ends because of that.
+    """
+    master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)
+    try:
+        return bool(master.hasParam("/launching", "/run_id")[2])
+    except (OSError, http.client.HTTPException, xmlrpc.client.Error):
+        return False
 
 
 def any_busy(pids):
