@@ -46,7 +46,7 @@ class OperatorParams(Settings):
     settle: NotNegative = 2.0  # [s] hovering before the course
     ready: NotNegative = 0.5  # [s] everything must have been ready for so long before take-off
     seen_timeout: NotNegative = 0.3  # [s] mocap
-    report_timeout: NotNegative = 2.0  # [s] navdata, controller_status
+    report_timeout: NotNegative = 3.0  # [s] navdata, controller_status; ladders, which come first, wait up to 2.5 s
     waiting_timeout: NotNegative = 60.0  # [s] until all is ready
     takeoff_timeout: NotNegative = 20.0  # [s] until all hover
     autonomous_timeout: NotNegative = 10.0  # [s] until all are in autonomous mode
@@ -271,7 +271,8 @@ class Operator:
             return
         self.text = ", ".join(map(self._refused, waiting))
         for _, w in self._taking_part():
-            if w.flight_state == FlightState.LANDED and now_s - w.takeoff_s > _TAKEOFF_AGAIN_S:
+            stands = w.flight_state == FlightState.LANDED and now_s - w.reported_s <= _SURE_S
+            if stands and now_s - w.takeoff_s > _TAKEOFF_AGAIN_S:
                 if w.pad.press(self._params.TakeoffLand):
                     w.takeoff_s = now_s
         self._give_up_after(self._params.takeoff_timeout, "no hover", self.text, now_s)
