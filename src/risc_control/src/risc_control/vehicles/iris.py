@@ -195,11 +195,11 @@ class TrainerSwitch:
     def send(self, channels_us, now_s):
         """The board says that it sends these."""
         self._sent.append((now_s, tuple(channels_us[:STICKS])))
+        self._forget(now_s)
 
     def receive(self, channels_us, now_s):
         """The autopilot says that it receives these. Returns whether `is_off` has changed."""
-        while self._sent and now_s - self._sent[0][0] > _DELAYS_S[-1] + _SPREAD_S:
-            self._sent.popleft()
+        self._forget(now_s)
         received_us, most_us = channels_us[:STICKS], SAME_US if self.is_off else OTHER_US
         since_s, self._received_s = now_s - self._received_s, now_s
         if since_s > _GAP_S:
@@ -213,6 +213,10 @@ class TrainerSwitch:
         elif len(self._fits) == REPORTS and fitting <= REPORTS // 2:
             self.is_off = self._has_agreed
         return before != self.is_off
+
+    def _forget(self, now_s):
+        while self._sent and now_s - self._sent[0][0] > _DELAYS_S[-1] + _SPREAD_S:
+            self._sent.popleft()
 
     def _was_sent(self, received_us, most_us, then_s):
         sent = [channels for time_s, channels in self._sent if then_s - _SPREAD_S <= time_s <= then_s]
@@ -251,7 +255,8 @@ class _Reports:
     def _on_state(self, message):
         taken = FlightState.FLYING if message.mode == MODE else FlightState.OTHER_MODE
         flies = FlightState.LANDING if message.mode == "LAND" else taken
-        self._state, self._state_s = flies if message.armed else FlightState.LANDED, time.monotonic()
+        with self._lock:
+            self._state, self._state_s = flies if message.armed else FlightState.LANDED, time.monotonic()
         self._tell(message)
 
     def _on_battery(self, message):
@@ -268,9 +273,10 @@ class _Reports:
         self._on_status(Status(FlightState.UNKNOWN, None, **sensed), sender(message))
 
     def _tell(self, message, battery_pct=None):
-        state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN
-        if state == FlightState.FLYING and self._switch.is_off:
-            state = FlightState.PILOT
+        with self._lock:
+            state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN
+            if state == FlightState.FLYING and self._switch.is_off:
+                state = FlightState.PILOT
         self._on_status(Status(state, battery_pct), sender(message))
 
 

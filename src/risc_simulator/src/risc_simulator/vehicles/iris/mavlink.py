@@ -31,7 +31,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from risc_simulator.notices import Notices
 from risc_simulator.socket_host import greediest
-from risc_simulator.vehicles.iris.messages import LAND, NO_CHANNEL, STREAMS, Messages
+from risc_simulator.vehicles.iris.firmware import Mode
+from risc_simulator.vehicles.iris.messages import NO_CHANNEL, STREAMS, Messages
 
 _LOG = logging.getLogger(__name__)
 
@@ -298,9 +299,9 @@ class Mavlink:
             return
         if self._now_s - self._station_s > self._parameters["FS_GCS_TIMEOUT"]:
             self._station_lost = True
-            if self._autopilot.armed and self._autopilot.mode != LAND:
+            if self._autopilot.armed and self._autopilot.mode != Mode.LAND:
                 self._autopilot.texts.append((mavlink.MAV_SEVERITY_CRITICAL, "GCS Failsafe: landing"))
-                self._autopilot.set_mode(LAND)
+                self._autopilot.set_mode(Mode.LAND)
 
     def _hear_station(self):
         self._station_s, self._station_lost = self._now_s, False
@@ -534,7 +535,7 @@ class Mavlink:
         return self._go_to(int(params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, int(params[1]))
 
     def _land(self, _params, _client):
-        return self._go_to(True, LAND)
+        return self._go_to(True, Mode.LAND)
 
     def _tell(self, message_id, client):
         if message_id not in self._messages:

@@ -11,10 +11,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.flight import FlightPhase
+from risc_simulator.vehicles.iris.firmware import Mode
 from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, TEMPERATURE_C
 
 QUADROTOR, ARDUPILOT = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-ALT_HOLD, LAND = 2, 9  # ArduCopter's numbers
 DISARMED_BASE_MODE = 81  # custom mode, stabilized, manual input
 ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, ORIGIN_ALTITUDE_M = 41.742, -111.808, 1400.0
 EARTH_RADIUS_M = 6378137.0
@@ -118,7 +118,7 @@ class Messages:
 
     def _sys_status(self, now_s):
         present = _SENSORS | _HEIGHT | _RECEIVER | _READY
-        enabled = present if self._autopilot.mode in (ALT_HOLD, LAND) else present & ~_HEIGHT
+        enabled = present if self._autopilot.mode in (Mode.ALT_HOLD, Mode.LAND) else present & ~_HEIGHT
         health = present | mavlink.MAV_SYS_STATUS_GEOFENCE  # none is there, so none is breached
         if self._autopilot.radio_failsafe:
             health &= ~_RECEIVER
