@@ -42,6 +42,13 @@ class Station:
         self.logs.append((level.name, message))
         return True
 
+    def complaints(self):
+        return [log for log in self.logs if log[0] in ("WARN", "ERROR")]
+
+    def be_told_nonsense(self):
+        """The control arm: this is complained about."""
+        self._sdk.add_any_connection("nonsense://")
+
     def watch(self, telemetry, *names):
         for name in names:
             getattr(telemetry, "subscribe_" + name)(lambda value, *_, name=name: self._see(name, value))
@@ -98,7 +105,7 @@ def main(url):
     station.wait("landing", lambda: newest["landed_state"] == ON_GROUND and not newest["armed"])
     result = {
         "connected_s": station.connected_s,
-        "complaints": [log for log in station.logs if log[0] in ("WARN", "ERROR")],
+        "complaints": station.complaints(),
         "texts": station.texts,
         "most_m": station.most_m,
         "end_m": newest["position"].relative_altitude_m,
@@ -109,6 +116,8 @@ def main(url):
         "fix": int(newest["gps_info"].fix_type),
         "battery_pct": newest["battery"].remaining_percent,
     }
+    station.be_told_nonsense()
+    station.wait("a complaint", lambda: len(station.complaints()) > len(result["complaints"]))
     print(json.dumps(result), flush=True)
 
 
