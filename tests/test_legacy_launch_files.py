@@ -559,3 +559,28 @@ def test_hows_sim_chases_its_target_and_comes_home(tmp_path):
     if idle_ms > LATE_LIMIT_MS:
         pytest.skip("this computer is too busy to fly: the lab alone is late by %.1f ms" % idle_ms)
     pytest.fail(problem)
+
+
+MODES = {  # of experiments of the IRIS+, in the order in which the bumper steps through them
+    "IRIS_DF_Demo.py": ["origin", "slanted8", "origin", "flat8", "origin", "circle", "origin", "knot"],
+    "IRIS_exp.py": ["origin", "quadrant 1", "quadrant 2", "quadrant 3", "quadrant 4", "quadrant 1"],
+}
+ALL_FLOWN_S = 400.0
+
+
+@pytest.mark.alone
+@pytest.mark.release
+@pytest.mark.parametrize("experiment", MODES)
+def test_experiments_of_the_iris_fly_all_their_modes(tmp_path, experiment):
+    bag = tmp_path / "flight.bag"
+    argv = "lab:=true", "fleet:=FLEET", "rviz:=false", "experiment:=" + experiment, "duration:=9", "bag:=%s" % bag
+    graph = Graph(FOLDER / "test_DF.launch", tmp_path / "graph", load_fleet(ROOT / "launch/fleets/iris1.yaml"), *argv)
+    try:
+        problem = graph.wait_for_line("operator: result ok", ALL_FLOWN_S)
+    finally:
+        ended = graph.end()
+    assert not (problem or ended)
+    with rosbag.Bag(str(bag)) as recorded:
+        told = [message for _, message, _ in recorded.read_messages(["/trajectory_phase"])]
+    flown = [message.course for message in told if message.vehicles[0].phase == VehiclePhase.COURSE]
+    assert [name for name, before in zip(flown, [None, *flown]) if name != before] == MODES[experiment]
