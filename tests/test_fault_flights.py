@@ -1,5 +1,6 @@
 """Whole flights of the whole graph in which something goes wrong, as `./maap fly --fault` makes them."""
 
+import csv
 import math
 import os
 import queue
@@ -10,6 +11,7 @@ import time
 import xmlrpc.client
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from faults import limit_ms
@@ -137,12 +139,36 @@ PROGRAMS = (
 COME_BACK = ("mocap_client", "driver,iris1", "transmitter,iris1")  # they may be back before a vehicle has to land
 
 
+# Horizontally. Without faults they need 0.5 m/s and 0.5 m/s^2, on their way to the courses; they are stopped with 2.5.
+FASTEST_M_S, HARDEST_M_S2 = 0.65, 2.8
+OVER_S, STEP_S = 0.2, 0.02  # what they are means of; of the grid
+
+
+def jumped(folder):
+    """{name: (greatest horizontal speed, acceleration)} of those that went beyond the limits, by the ground truth."""
+    with (folder / "csv" / "ground_truth.csv").open() as file:
+        rows = {float(row["stamp"]): row for row in csv.DictReader(file)}
+    stamps_s, found, over = sorted(rows), {}, round(OVER_S / STEP_S)
+    grid_s = np.arange(stamps_s[0], stamps_s[-1], STEP_S)
+    for name in (key.removesuffix(".visible") for key in rows[stamps_s[0]] if key.endswith(".visible")):
+        places_m = np.array([[float(rows[stamp_s]["%s.%s" % (name, axis)]) for axis in "xy"] for stamp_s in stamps_s])
+        places_m = np.column_stack([np.interp(grid_s, stamps_s, along) for along in places_m.T])
+        speeds = (places_m[over:] - places_m[:-over]) / OVER_S
+        accelerations = (speeds[over:] - speeds[:-over]) / OVER_S
+        most = tuple(float(np.hypot(*of.T).max()) for of in (speeds, accelerations))
+        if most[0] > FASTEST_M_S or most[1] > HARDEST_M_S2:
+            found[name] = most
+    return found
+
+
 @pytest.mark.release
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_a_program_that_hangs_for_a_moment_and_one_that_dies_end_safe(tmp_path, program):
+def test_a_program_that_hangs_for_a_moment_and_one_that_dies_end_safe_and_nobody_jumps(tmp_path, program):
+    """Also when it is back: programs that are started again do not make a vehicle that flies jump."""
     name, _, vehicle = program.partition(",")
     hang = ",".join(filter(None, (name, "0.2", vehicle)))
     _, dead = each_flown(tmp_path, "node_stop:" + hang, "node_kill:" + program)
+    assert not any(map(jumped, tmp_path.iterdir())), [jumped(folder) for folder in tmp_path.iterdir()]
     assert dead["outcome"] == ("completed" if program == "master" else "landed") or program in COME_BACK
 
 
@@ -152,6 +178,7 @@ def test_a_program_that_hangs_for_a_moment_and_one_that_dies_end_safe(tmp_path, 
 def test_a_program_that_hangs_for_long_ends_safe(tmp_path, program, duration):
     name, _, vehicle = program.partition(",")
     (hang,) = each_flown(tmp_path, "node_stop:" + ",".join(filter(None, (name, duration, vehicle))))
+    assert jumped(tmp_path / "0") == {}
     assert hang["outcome"] == ("completed" if program == "master" else "landed")
 
 
