@@ -6,7 +6,7 @@ import pytest
 from hover_desk import IRIS, Desk, G, Iris, flown, level_at, said
 from joystick_desk import DOWN, EMERGENCY, TAKEOFF_LAND, TOGGLE, UP
 
-from risc_control import hover, vehicle_pilot
+from risc_control import hover, place_hold, vehicle_pilot
 from risc_control.safety import FailsafeLevel, Rule
 from risc_control.separation import Look
 from risc_control.vehicle_pilot import VehicleNodeParams, VehiclePilot
@@ -99,8 +99,11 @@ def test_sticks_move_the_place_that_is_held():
     length_m = math.hypot(*moved_m[:2])
     assert moved_m[:2] == pytest.approx((length_m * math.cos(psi), -length_m * math.sin(psi)), abs=0.02)
     way_m, climbs_m = (  # at the one speed after a while, at the other not within a second
-        speed_m_s * (1.0 - 0.5 * speed_m_s / gains_m_s2) + 0.5 * speed_m_s**2 / hover._STOP_M_S2
-        for speed_m_s, gains_m_s2 in ((hover.HAND_M_S, hover.PLACE_M_S2), (hover._PLACE_UP_M_S2, hover._PLACE_UP_M_S2))
+        speed_m_s * (1.0 - 0.5 * speed_m_s / gains_m_s2) + 0.5 * speed_m_s**2 / place_hold.STOP_M_S2
+        for speed_m_s, gains_m_s2 in (
+            (hover.HAND_M_S, place_hold.PLACE_M_S2),
+            (place_hold.PLACE_UP_M_S2, place_hold.PLACE_UP_M_S2),
+        )
     )
     assert (length_m, moved_m[2]) == pytest.approx((way_m, climbs_m), abs=0.03)
     desk.joy(axes=(0, 0, 0, 1.0, 0, 0, 0.0, 0.0))  # left turn

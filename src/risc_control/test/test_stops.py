@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hover_desk import IRIS, TOGGLE, Desk, G, Iris, level_at
 
-from risc_control import hover
+from risc_control import place_hold
 from risc_control.fence import Fence
 from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_control.vehicles import Command
@@ -50,7 +50,8 @@ def stop(seed, speed_m_s):
 
 
 @pytest.mark.parametrize(
-    ("wanted_m_s", "least_m_s2"), [(0.5, hover.PLACE_M_S2), (1.0, hover._STOP_M_S2), (1.5, hover._STOP_M_S2)]
+    ("wanted_m_s", "least_m_s2"),
+    [(0.5, place_hold.PLACE_M_S2), (1.0, place_hold.STOP_M_S2), (1.5, place_hold.STOP_M_S2)],
 )
 def test_it_stops_as_the_fence_counts_on(wanted_m_s, least_m_s2, monkeypatch):
     fence = Fence(VehicleNodeParams(**OPEN), IRIS)
@@ -59,6 +60,6 @@ def test_it_stops_as_the_fence_counts_on(wanted_m_s, least_m_s2, monkeypatch):
         assert abs(speed_m_s - wanted_m_s) < 0.2
         assert way_m < fence.stop_m(0, speed_m_s) and slows_m_s2 > least_m_s2
     # the control arm: the place that is held slows down more slowly
-    monkeypatch.setattr(hover, "_STOP_M_S2", 0.4)
+    monkeypatch.setattr(place_hold, "STOP_M_S2", 0.4)
     speed_m_s, way_m, slows_m_s2 = stop(0, wanted_m_s)
-    assert way_m > fence.stop_m(0, speed_m_s) and slows_m_s2 < hover.PLACE_M_S2
+    assert way_m > fence.stop_m(0, speed_m_s) and slows_m_s2 < place_hold.PLACE_M_S2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from risc_control import hover
+from risc_control import climb_observer
 from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import Charge
 from risc_control.vehicles.iris import Adapter
@@ -42,7 +42,7 @@ def test_a_battery_that_empties(monkeypatch):
     assert height_errors_m(result).max() < 0.03
     # the control arm: the charge is not looked at, and nothing is learnt but by the controller's integral
     monkeypatch.setattr(Charge, "note", lambda self, battery_pct, now_s: setattr(self, "pct", 100.0))
-    monkeypatch.setattr(hover, "_TRIM_M_S2", 0.0)
+    monkeypatch.setattr(climb_observer, "_TRIM_M_S2", 0.0)
     assert height_errors_m(emptied()).max() > 0.03
 
 

@@ -18,7 +18,7 @@ floor is a side of the room, too. All that is the type's data.
 import math
 
 from risc_control.braking import TILT_RAD
-from risc_control.hover import PLACE_M_S2, STOPS_UP_M_S2
+from risc_control.place_hold import PLACE_M_S2, STOPS_UP_M_S2
 from risc_control.vehicles import adapter_class, greatest_command
 from risc_lab.frames import GRAVITY_M_S2
 

@@ -6,9 +6,8 @@ An AR.Drone takes off, hovers and lands when it is told to. A type whose adapter
     STANDING -- take_off -> STARTING -- armed -> CLIMBING -- up -> HOLDING -- land -> LANDING -- disarmed -> STANDING
                                                                           stop: from anywhere in the air to STOPPED
 
-HOLDING is the thesis' "simple PID controller for position hold" by motion capture (5.2.2) about a place that moves with
-limited acceleration: where an operator's sticks send it, or out of another vehicle's way. It begins with the motion
-that the vehicle has. While a controller flies, nothing here commands.
+It is commanded by `PlaceHold`, HOLDING where an operator's sticks send it, or out of another vehicle's way. While a
+controller flies, nothing here commands.
 
 While the vehicle follows its pilot's transmitter (`FlightState.PILOT`) nothing is ordered; what is sent would bring it
 to a stop. It stays the pilot's until an operator takes it back (`take_back`).
@@ -17,18 +16,19 @@ The throttle that hovers is known badly (battery, load, propellers). `ClimbObser
 whoever flies, and the adapter adds it to every command: it is the integral of this hold, and no change of hands
 changes it.
 
-Without states it goes on by the model of its climb (`_blind`): HOLDING at the height at which it was seen last, LANDING
-down to the floor. The height and climb rate that it says to have correct that (`feel_height`): its barometer drifts, so
-what counts is how they differ from what they were while it was seen.
+Without states it goes on by the model of its climb (`BlindHeight`): HOLDING at the height at which it was seen last,
+LANDING down to the floor.
 """
 
 import math
 from collections import deque
 from enum import Enum, auto
 
-from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
-from risc_control.vehicles import Command, FlightState, climb_loops
-from risc_lab.command_history import ROWS, Channel, last_by
+from risc_control.blind_height import BlindHeight
+from risc_control.climb_observer import ClimbObserver
+from risc_control.flatness import thrust_at_tilt
+from risc_control.place_hold import LEASH_M, PlaceHold, stops_m_s
+from risc_control.vehicles import Command, FlightState
 from risc_lab.frames import GRAVITY_M_S2
 
 HEIGHT_M = 1.0  # of the hold after a take-off, cortex frame,
@@ -51,29 +51,7 @@ _IN_AIR_M = 0.3  # an armed vehicle of which nothing else is known flies when it
 _STILL_M_S, _SINKS_M_S = 0.08, 0.1
 _NEARLY_M, _THERE_M = 0.1, 0.03  # below the height of a take-off it is up, when the place that is held is as near
 
-# The hold: acceleration by error, its rate and its integral.
-_POSITION_1_S2, _VELOCITY_1_S, _INTEGRAL_1_S3, _INTEGRAL_M_S2 = 3.0, 2.8, 0.7, 0.8
-_HEIGHT_1_S2, _CLIMB_1_S = 5.0, 3.5
-_YAW_1_S, _YAW_RATE_RAD_S = 1.0, 0.5
-_TILT_RAD, _UP_M_S2 = math.radians(20.0), 3.0
-PLACE_M_S2, _PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held; on the former the fence counts
-_STOP_M_S2 = 2.5  # when it slows down: others may be in its way, or the floor;
-STOPS_UP_M_S2 = 1.4  # of that the fence counts on so much, up and down
-_FAR_M = 0.5  # larger errors count as this one
-_LEASH_M = 0.3  # the place is no farther above or below the vehicle on the way up or down
-_BLIND_1_S, _BLIND_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned, without states;
-_BLIND_HEIGHT_1_S, _BLIND_M_S = 1.0, 0.3  # and of the height
-_FEELS_S, _FELT_S = 0.5, 3.0  # of reports while it is seen: from so many on they count; time constant of their zeros
-_FELT_GAP_S = 0.25  # between reports at most
-_LATE_S = 0.3  # they may be late by so much more than they are as a rule:
-_NOISE_M, _NOISE_M_S = 0.15, 0.1  # they count beyond all that was reckoned for then, and beyond their noise,
-_FELT_M, _FELT_M_S = 0.8, 1.0  # and are not believed where they are so far from it
-_FELT_1_S = 1.0  # of the height that is reckoned, by its error
-
 _NEW_S = 0.2  # without a command of the hold: it begins anew
-_MAX_GAP_S = 0.2  # between states: the observer begins anew
-_OBSERVER_RAD_S, _TRIM_M_S2, _STEP_S = 2.0, 3.0, 0.02
-_BLIND_S = 1.0  # a longer time without anything is not reckoned through
 
 
 class Phase(Enum):
@@ -86,47 +64,6 @@ class Phase(Enum):
 
 
 _IN_AIR = frozenset((Phase.CLIMBING, Phase.HOLDING, Phase.LANDING, Phase.STOPPED))
-
-
-class ClimbObserver:
-    """Climb rate by the model of the climb loop, and how far that is wrong: a slow observer of a constant error.
-
-    trim_m_s2: what is to be added to each command, as an upward acceleration. Commands in `sent` are without it.
-    """
-
-    def __init__(self, vehicle_type, sent):
-        """sent: HISTORY of what the vehicle was sent."""
-        self.climb_m_s = self.trim_m_s2 = 0.0
-        self._loop = climb_loops([vehicle_type])[0]
-        self._delay_s = vehicle_type.command_delay_s + 0.5 / vehicle_type.command_rate_hz  # waits for the next slot
-        self._sent, self._time_s = sent, -math.inf
-        last_by(sent, 0.0, sent.newest)  # loads what is compiled
-
-    def measure(self, climb_m_s, time_s, learns):
-        """The vehicle climbed at this rate then. learns: nothing but the commands moves it."""
-        step_s = time_s - self._time_s
-        if not learns or not 0.0 <= step_s <= _MAX_GAP_S:
-            self.climb_m_s, self._time_s = climb_m_s, time_s
-            return
-        self.advance(time_s)
-        self.correct(climb_m_s - self.climb_m_s, step_s)
-
-    def correct(self, error_m_s, step_s):
-        """It climbs by so much faster than by the commands. step_s: since the last time."""
-        self.climb_m_s += min(1.0, 2.0 * _OBSERVER_RAD_S * step_s) * error_m_s
-        self.trim_m_s2 = _within(self.trim_m_s2 - _OBSERVER_RAD_S**2 * step_s * error_m_s, _TRIM_M_S2)
-
-    def advance(self, until_s):
-        """Go on to a time by the commands alone."""
-        if until_s - self._time_s > _BLIND_S:
-            self._time_s = until_s - _BLIND_S
-        while self._time_s < until_s:
-            step_s = min(_STEP_S, until_s - self._time_s)
-            k = last_by(self._sent, self._time_s + 0.5 * step_s - self._delay_s, self._sent.newest)
-            command = self._sent.commands[k % ROWS, Channel.CLIMB]
-            up_m_s2 = self._loop.gain * command - self._loop.damping_1_s * self.climb_m_s
-            self.climb_m_s += step_s * up_m_s2
-            self._time_s += step_s
 
 
 class Hover:
@@ -148,15 +85,8 @@ class Hover:
         self._still_s = None  # since when it does not sink although it should
         self._sinks_s = -math.inf  # when it sank last
         self._stands = False  # it has landed, as far as can be seen
-        self._reckoned_m = self._blind_m = 0.0  # height above the floor, without states; that is held
-        self._reckoned = deque(maxlen=32)  # of late: (time, height, climb rate)
-        self._felt, self._felt_s = None, -math.inf  # newest (height, climb rate) that it said to have, when it had them
-        self._felt_zero, self._zeros_s = (0.0, 0.0), 0.0  # by which these were too large while it was seen; of how long
-        self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
-        self._integral_m_s2 = [0.0, 0.0]
+        self._blind, self._hold = BlindHeight(self.observer), PlaceHold(vehicle_type.mass_kg)
         self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
-        flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads what is
-        thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
@@ -205,8 +135,7 @@ class Hover:
     def on_state(self, own, measured_s):
         """The vehicle was seen (`vehicle_pilot.OwnState`)."""
         self._own, self._own_s = own, measured_s
-        self._reckoned_m = self._blind_m = self._height_m()
-        self._reckoned.clear()
+        self._blind.see(self._height_m())
         climb_m_s = own.velocity_m_s[2]
         free = self.phase in _IN_AIR and self.reported == FlightState.FLYING and self._height_m() > _LIFTED_M
         self.observer.measure(climb_m_s, measured_s, free and not self._stands)
@@ -216,28 +145,11 @@ class Hover:
 
     def feel_height(self, height_m, climb_m_s, measured_s, now_s):
         """It says that it had this height, by a zero of its own, and climb rate."""
-        if (height_m, climb_m_s) == self._felt or not math.isfinite(height_m + climb_m_s):
-            return
-        step_s = measured_s - self._felt_s
-        self._felt, self._felt_s = (height_m, climb_m_s), measured_s
-        if not 0.0 < step_s < _FELT_GAP_S or self._own is None:
-            return
+        seen = None
         if self._is_seen(now_s):
-            height_m -= self._height_m() + self._own.velocity_m_s[2] * (measured_s - self._own_s)
-            self._zeros_s = min(_FELT_S, self._zeros_s + step_s)
-            zeros, share = (height_m, climb_m_s - self._own.velocity_m_s[2]), step_s / self._zeros_s
-            self._felt_zero = tuple(old + share * (new - old) for old, new in zip(self._felt_zero, zeros))
-            return
-        begins_s = measured_s - _LATE_S
-        lately = [then for then in self._reckoned if then[0] >= begins_s]
-        if self._zeros_s >= _FEELS_S and lately and self._reckoned[0][0] <= begins_s:
-            _, heights_m, climbs_m_s = zip(*lately)
-            error_m = _beyond(height_m - self._felt_zero[0], heights_m, _NOISE_M)
-            if abs(error_m) < _FELT_M:
-                self._reckoned_m += _FELT_1_S * step_s * error_m
-            error_m_s = _beyond(climb_m_s - self._felt_zero[1], climbs_m_s, _NOISE_M_S)
-            if abs(error_m_s) < _FELT_M_S and self.reported == FlightState.FLYING:
-                self.observer.correct(error_m_s, step_s)
+            rises_m_s = self._own.velocity_m_s[2]
+            seen = self._height_m() + rises_m_s * (measured_s - self._own_s), rises_m_s
+        self._blind.feel(height_m, climb_m_s, measured_s, seen, self.reported == FlightState.FLYING)
 
     # --- orders -------------------------------------------------------------------------------------------------
 
@@ -330,7 +242,7 @@ class Hover:
         """
         if self.has_pilot and not self._is_seen(now_s):
             return True
-        return self.phase is Phase.LANDING and not self._is_seen(now_s) and self._reckoned_m < -BLIND_BELOW_M
+        return self.phase is Phase.LANDING and not self._is_seen(now_s) and self._blind.height_m < -BLIND_BELOW_M
 
     @property
     def lands_itself(self):
@@ -366,7 +278,7 @@ class Hover:
         elif self.phase is Phase.STARTING and lasts_s > ARMED_WITHIN_S:
             self.refuse("it is not armed within %g s" % ARMED_WITHIN_S, now_s, orders)
         elif self.phase is Phase.CLIMBING:
-            is_m, place_m = self._own.position_m[2], self._place_m[2]
+            is_m, place_m = self._own.position_m[2], self._hold.height_m
             if self._is_seen(now_s) and min(is_m + _NEARLY_M, place_m + _THERE_M) > self._top_m():
                 self._enter(Phase.HOLDING, now_s)
             elif lasts_s > UP_WITHIN_S:
@@ -388,75 +300,37 @@ class Hover:
         step_s, self._commanded_s = now_s - self._commanded_s, now_s
         climb_m_s = self._climb_m_s(velocity_m_s[2])
         if not self._is_seen(now_s):
-            return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0, waits)
+            return self._unseen(now_s, min(step_s, _NEW_S), climb_m_s, waits)
         if now_s - self._held_s > _NEW_S or self.has_pilot:
-            self._begin()
+            self._hold.begin(self._own)
         self._held_s = now_s
         spun = (now_s - self._since_s) / _SPIN_UP_S
         if self.phase is Phase.CLIMBING and spun < 1.0:
-            self._begin()
+            self._hold.begin(self._own)
             weights = _SPIN_UP_FROM + spun * (_SPIN_UP_TO - _SPIN_UP_FROM)
             return Command(0.0, 0.0, 0.0, weights * self._mass_kg * GRAVITY_M_S2)
-        return self._held(min(step_s, _NEW_S), (*velocity_m_s[:2], climb_m_s), yaw_rate_rad_s)
+        leash_m = math.inf if self.phase is Phase.HOLDING else LEASH_M
+        velocity_m_s = *velocity_m_s[:2], climb_m_s
+        return self._hold.command(self._own, min(step_s, _NEW_S), velocity_m_s, yaw_rate_rad_s, leash_m)
 
     def _climb_m_s(self, wanted_m_s):
         """At which the place that is held is to climb."""
         if self.phase is Phase.LANDING:
-            return -SLOW_DESCENT_M_S if self._reckoned_m < SLOW_BELOW_M else -DESCENT_M_S
+            return -SLOW_DESCENT_M_S if self._blind.height_m < SLOW_BELOW_M else -DESCENT_M_S
         if self.phase is Phase.CLIMBING:
-            return min(CLIMB_M_S, _stops_m_s(self._top_m() - self._place_m[2]))
-        return max(wanted_m_s, -_stops_m_s(self._place_m[2] - LEAST_HEIGHT_M))
+            return min(CLIMB_M_S, stops_m_s(self._top_m() - self._hold.height_m))
+        return max(wanted_m_s, -stops_m_s(self._hold.height_m - LEAST_HEIGHT_M))
 
-    def _blind(self, now_s, step_s, climb_m_s, waits):
-        """`Command` without states: to a stop, and this climb rate, by the model."""
-        self.observer.advance(now_s)
-        has_m_s = self.observer.climb_m_s
-        self._reckoned_m += min(step_s, _NEW_S) * has_m_s
-        self._reckoned.append((now_s, self._reckoned_m, has_m_s))
-        if self.phase is Phase.HOLDING:
-            climb_m_s += _within(_BLIND_HEIGHT_1_S * (self._blind_m - self._reckoned_m), _BLIND_M_S)
-        up_m_s2 = _within(_BLIND_1_S * (climb_m_s - has_m_s), _BLIND_M_S2)
+    def _unseen(self, now_s, step_s, climb_m_s, waits):
+        """`Command` without states: to a stop, and at this climb rate or at the height that it has, by the model."""
+        rates = {Phase.HOLDING: None, Phase.LANDING: climb_m_s}
+        up_m_s2 = self._blind.advance(now_s, step_s, rates.get(self.phase, 0.0))
         brake = self._braking.command(now_s)
         if brake is None or waits:
             return Command(0.0, 0.0, 0.0, self._mass_kg * (GRAVITY_M_S2 + up_m_s2))
         self._own = brake.then
         thrust_n = thrust_at_tilt(GRAVITY_M_S2 + up_m_s2, self._own.phi_rad, self._own.theta_rad, self._mass_kg)
         return Command(brake.roll_rad, brake.pitch_rad, 0.0, thrust_n)
-
-    def _begin(self):
-        """Hold from the place and the motion that it has."""
-        own = self._own
-        self._place_m, self._place_m_s, self._psi_rad = list(own.position_m), list(own.velocity_m_s), own.psi_rad
-        self._integral_m_s2 = [0.0, 0.0]
-
-    def _held(self, step_s, velocity_m_s, yaw_rate_rad_s):
-        """`Command` that holds the place, which comes to move at this velocity."""
-        own, wanted_m_s2 = self._own, [0.0] * 3
-        for axis, most_m_s2 in enumerate((PLACE_M_S2, PLACE_M_S2, _PLACE_UP_M_S2)):
-            if abs(velocity_m_s[axis]) < abs(self._place_m_s[axis]):
-                most_m_s2 = _STOP_M_S2
-            change_m_s = _within(velocity_m_s[axis] - self._place_m_s[axis], most_m_s2 * step_s)
-            self._place_m_s[axis] += change_m_s
-            self._place_m[axis] += step_s * self._place_m_s[axis]
-            wanted_m_s2[axis] = change_m_s / step_s if step_s > 0.0 else 0.0
-        if self.phase is not Phase.HOLDING:  # the floor may stop it
-            self._place_m[2] = own.position_m[2] + _within(self._place_m[2] - own.position_m[2], _LEASH_M)
-        errors_m = [place - is_m for place, is_m in zip(self._place_m, own.position_m)]
-        errors_m_s = [place - is_m_s for place, is_m_s in zip(self._place_m_s, own.velocity_m_s)]
-        for axis in (0, 1):
-            grown = self._integral_m_s2[axis] + step_s * _INTEGRAL_1_S3 * errors_m[axis]
-            self._integral_m_s2[axis] = _within(grown, _INTEGRAL_M_S2)
-            wanted_m_s2[axis] += _POSITION_1_S2 * _within(errors_m[axis], _FAR_M) + _VELOCITY_1_S * errors_m_s[axis]
-            wanted_m_s2[axis] += self._integral_m_s2[axis]
-        wanted_m_s2[2] += _HEIGHT_1_S2 * _within(errors_m[2], _FAR_M) + _CLIMB_1_S * errors_m_s[2]
-        up_m_s2 = _within(wanted_m_s2[2], _UP_M_S2)
-        self._psi_rad += step_s * yaw_rate_rad_s
-        error_rad = math.remainder(self._psi_rad - own.psi_rad, math.tau)
-        turn_rad_s = yaw_rate_rad_s + _within(_YAW_1_S * error_rad, _YAW_RATE_RAD_S)
-        # cortex x, y, z are north, west, up
-        f = limit_tilt(Acceleration(wanted_m_s2[0], -wanted_m_s2[1], GRAVITY_M_S2 + up_m_s2), _TILT_RAD)[0]
-        roll_rad, pitch_rad, turn_rad_s, _ = flat_inputs(f, own.psi_rad, turn_rad_s, self._mass_kg)
-        return Command(roll_rad, pitch_rad, turn_rad_s, thrust_at_tilt(f.up, own.phi_rad, own.theta_rad, self._mass_kg))
 
     # --- what is seen of it -------------------------------------------------------------------------------------
 
@@ -479,7 +353,7 @@ class Hover:
         if not self._is_seen(now_s):
             self._still_s = None
             return
-        lags = self._place_m[2] < self._own.position_m[2] - 0.7 * _LEASH_M and self.reported == FlightState.FLYING
+        lags = self._hold.height_m < self._own.position_m[2] - 0.7 * LEASH_M and self.reported == FlightState.FLYING
         if not lags or abs(self._own.velocity_m_s[2]) > _STILL_M_S:
             self._still_s = None
         elif self._still_s is None:
@@ -488,7 +362,8 @@ class Hover:
             self._stands = True
 
     def _enter(self, phase, now_s):
-        self.phase, self._since_s, self._blind_m = phase, now_s, self._reckoned_m
+        self.phase, self._since_s = phase, now_s
+        self._blind.hold_here()
         self._still_s, self._stands = None, False
 
 
@@ -498,17 +373,3 @@ _STATES = {  # FlightState of each Phase but those that depend on more
     Phase.LANDING: FlightState.LANDING,
     Phase.STOPPED: FlightState.UNKNOWN,
 }
-
-
-def _stops_m_s(way_m):
-    """Speed at which the place that is held comes to a stop within this way, up or down."""
-    return math.sqrt(_PLACE_UP_M_S2 * max(0.0, way_m))  # at half of its acceleration
-
-
-def _beyond(value, known, noise):
-    """By how much it is above or below all that is known, and the noise."""
-    return value - min(max(value, min(known) - noise), max(known) + noise)
-
-
-def _within(value, most):
-    return min(max(value, -most), most)
