@@ -15,6 +15,7 @@ from dataclasses import replace
 from tracking import COURSES, accuracy_of
 
 from data_extraction.progress import Progress, bar
+from risc_experiments.estimators import add_option
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, fly_all
 from risc_lab.lab import load_vehicle_type
 from risc_simulator.models.perturbed_plant import nominal_plant
@@ -69,13 +70,16 @@ def main(arguments=None):
     add = parser.add_argument
     add("--seeds", type=int, default=9, metavar="N", help="seeds 1 to N (default: 9)")
     add("--duration", type=float, default=20.0, metavar="S", help="judged time of each flight (default: 20 s)")
+    add_option(add)
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     add("--json", type=argparse.FileType("w"), metavar="FILE", help="also write the figures here")
     args = parser.parse_args(arguments)
     if args.seeds < 1 or not args.duration > 0.0:
         parser.error("--seeds is 1 or more, --duration more than 0")
     plants, seeds, progress, rows = changes(), range(1, args.seeds + 1), Progress(), []
-    base = Flight(types=(TYPE,) * 3, delay_s=DELAY_S, duration_s=args.duration, perturbed=False)
+    base = Flight(
+        types=(TYPE,) * 3, delay_s=DELAY_S, duration_s=args.duration, perturbed=False, estimator=args.estimator
+    )
     flights = [
         replace(base, trajectory=course, seed=seed, psi_deg=YAW_BY_SEED_DEG * seed, plant=plant)
         for plant, _ in plants.values() for course in COURSES for seed in seeds
