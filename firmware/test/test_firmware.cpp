@@ -399,6 +399,35 @@ TEST(Device, TimeWrapsAfter49Days) {
   board.run(1);
   board.send(kAsk);
   for (int i = 0; i < 40; ++i) {
+// How many milliseconds the board's clock is behind a host's whose time it got. It asked, and half of
+// `round_trip_ms` later the host answered; with `asks_again` it also asks as the answer comes, and takes that
+// for one to this question.
+double behind_ms(uint32_t round_trip_ms, bool asks_again) {
+  Board<> board;
+  board.send(kAsk);
+  Bytes time;
+  host::put(time, 1700000000u);
+  host::put(time, 123000000u + round_trip_ms / 2 * 1000000u);
+  board.run(round_trip_ms);
+  if (asks_again) board.send(kAsk);
+  board.send(host::packet(10, time));
+  board.run(500);  // to the next status and beyond
+  board.sent.clear();
+  const uint32_t begin_ms = board.ms;
+  while (board.packets(125) == 0) board.run(1);
+  uint32_t stamp[2];
+  std::memcpy(stamp, &board.sent[7 + 4], sizeof stamp);
+  const double host_ms = 123.0 + round_trip_ms + 500.0 + (board.ms - begin_ms);
+  return host_ms - (1000.0 * (stamp[0] - 1700000000.0) + 1e-6 * stamp[1]);
+}
+
+TEST(Device, ItsClockIsTheHostsLessWhatAnAnswerTakesToCome) {
+  for (uint32_t round_trip_ms : {2u, 30u, 200u, 900u}) {
+    EXPECT_NEAR(behind_ms(round_trip_ms, false), 0.0, 0.01);
+    EXPECT_NEAR(behind_ms(round_trip_ms, true), round_trip_ms / 2, 0.01) << "the correction does not matter";
+  }
+}
+
     board.send(host::packet(10, Bytes(8, 1)));
     board.sent.clear();
     board.run(100);
