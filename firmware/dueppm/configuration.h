@@ -30,7 +30,8 @@ struct Configuration {
   static constexpr int32_t kYawTravelUs = 500;
 
   // Which messages are accepted.
-  static constexpr const char* kVehicle = "";    // the `name` in controls; "": that of the first message
+  static constexpr const char* kVehicle = "";    // the `name` in controls; "": that of the first believed
+                                                 // message, until the reset
   static constexpr double kFractionMax = 1.001;  // a message with a larger fraction is refused
   static constexpr double kJump = 0.25;  // a larger change is accepted when the next message confirms it
   static constexpr int32_t kSlewUsPerS = 5000;  // no channel changes faster

@@ -2,10 +2,10 @@
 // them.
 //
 // A message that is not plausible in itself is refused, never repaired. One that differs from the last
-// accepted one by more than kJump, or names another vehicle, waits: it is believed when the next message
-// agrees with it. So is the first one after a silence. A damaged message that is plausible therefore moves a
-// channel by at most kJump of its travel and by what the slew limit lets through until the next message, and
-// cannot end a failsafe.
+// accepted one by more than kJump waits: it is believed when the next message agrees with it. So is the first
+// one after a silence. A damaged message that is plausible therefore moves a channel by at most kJump of its
+// travel and by what the slew limit lets through until the next message, and cannot end a failsafe. The
+// vehicle of the first believed message is the only one until the reset: no other publisher takes the sticks.
 #pragma once
 
 #include "messages.h"
@@ -39,8 +39,9 @@ class ControlsCheck {
   Verdict judge(const uint8_t* bytes, size_t length, uint32_t now_ms) {
     Controls message;
     if (!message.read(bytes, length) || message.name.length > kLongestName) return {false, Refusal::kFormat};
-    const Text vehicle = text_of(C::kVehicle);
-    if (vehicle.length > 0 && !equal(message.name, vehicle)) return {false, Refusal::kVehicle};
+    const Text vehicle = accepted_.there ? accepted_.text() : text_of(C::kVehicle);
+    if ((accepted_.there || vehicle.length > 0) && !equal(message.name, vehicle))
+      return {false, Refusal::kVehicle};
     const double values[kSticks] = {message.phi, message.theta, message.T,
                                     message.psi};  // in the order of Stick
     for (int i = 0; i < kSticks; ++i) {
@@ -65,9 +66,10 @@ class ControlsCheck {
     size_t name_length = 0;
     double values[kSticks];
 
+    Text text() const { return {name, name_length}; }
     bool agrees(Text other, const double (&others)[kSticks], uint32_t now_ms) const {
       if (!there || now_ms - ms >= kSilenceMs) return false;
-      if (!equal(Text{name, name_length}, other)) return false;
+      if (!equal(text(), other)) return false;
       for (int i = 0; i < kSticks; ++i) {
         const double change = others[i] - values[i];
         if (change > C::kJump || change < -C::kJump) return false;

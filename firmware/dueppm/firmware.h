@@ -113,11 +113,12 @@ class Firmware {
     told_refused_ = refused_;
     told_refused_ms_ = now_ms;
     device_.log(LogLevel::kWarn,
-                refusal_ == Refusal::kFormat    ? "controls refused: not exactly one object, or damaged"
-                : refusal_ == Refusal::kVehicle ? "controls refused: for another vehicle than configured"
+                refusal_ == Refusal::kFormat ? "controls refused: not exactly one object, or damaged"
+                : refusal_ == Refusal::kVehicle
+                    ? "controls refused: for another vehicle; a reset lets it fly another one"
                 : refusal_ == Refusal::kRange
                     ? "controls refused: a stick is not within -1 and 1"
-                    : "controls refused: a jump, or a name, that the next message did not confirm");
+                    : "controls refused: a jump that the next message did not confirm");
   }
 
   RosserialDevice device_;

@@ -316,13 +316,19 @@ TEST(Check, WantsTwoMessagesAfterASilence) {
   }
 }
 
-TEST(Check, BelievesNoOtherVehicle) {
+TEST(Check, BelievesNoOtherVehicleUntilTheReset) {
+  const Bytes own = host::controls(0, 0, 0, -1), other = host::controls(0, 0, 0, -1, "Raven");
   Judge<Configuration> judge;
-  EXPECT_FALSE(judge(host::controls(0, 0, 0, -1, "Raven")).accepted);
-  EXPECT_TRUE(judge(host::controls(0, 0, 0, -1)).accepted);
-  Judge<OneVehicle> configured;
-  for (int i = 0; i < 5; ++i)
-    EXPECT_EQ(configured(host::controls(0, 0, 0, -1, "Raven")).refused, Refusal::kVehicle);
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(judge(other).refused, Refusal::kVehicle);
+  EXPECT_TRUE(judge(own).accepted);
+  EXPECT_EQ(judge(other, 5000).refused, Refusal::kVehicle) << "its own is silent: still another one";
+  EXPECT_EQ(judge(other).refused, Refusal::kVehicle);
+  ControlsCheck<Configuration> reset;
+  EXPECT_FALSE(reset.judge(other.data(), other.size(), 0).accepted);
+  EXPECT_TRUE(reset.judge(other.data(), other.size(), 22).accepted);
+  ControlsCheck<OneVehicle> configured;
+  for (uint32_t ms : {0u, 22u})
+    EXPECT_EQ(configured.judge(other.data(), other.size(), ms).refused, Refusal::kVehicle);
 }
 
 // --- the whole
@@ -393,12 +399,6 @@ TEST(Device, AsksForTheTimeAndGivesUpAHostThatNeverAnswers) {
   EXPECT_TRUE(board.sent.empty());
 }
 
-TEST(Device, TimeWrapsAfter49Days) {
-  Board<> board;
-  board.ms = 0xffffffffu - 2000;
-  board.run(1);
-  board.send(kAsk);
-  for (int i = 0; i < 40; ++i) {
 // How many milliseconds the board's clock is behind a host's whose time it got. It asked, and half of
 // `round_trip_ms` later the host answered; with `asks_again` it also asks as the answer comes, and takes that
 // for one to this question.
@@ -428,6 +428,12 @@ TEST(Device, ItsClockIsTheHostsLessWhatAnAnswerTakesToCome) {
   }
 }
 
+TEST(Device, TimeWrapsAfter49Days) {
+  Board<> board;
+  board.ms = 0xffffffffu - 2000;
+  board.run(1);
+  board.send(kAsk);
+  for (int i = 0; i < 40; ++i) {
     board.send(host::packet(10, Bytes(8, 1)));
     board.sent.clear();
     board.run(100);
