@@ -8,6 +8,7 @@ A device that publishes proves that it lives. One that is quiet is asked for its
 once, and it needs nothing else.
 """
 
+import copy
 import enum
 import math
 import threading
@@ -139,7 +140,7 @@ class Link:
             if decoder.stray_bytes > stray:
                 facts.damaged_s.append(now_s)
                 self._suspected_s = now_s
-                self._unsure |= now_s < self._asked_s + self.limit_s
+                self._unsure |= now_s < self._asked_s + self._limit_s
             if packets:
                 if now_s < facts.heard_s + _SAME_PROGRAM_S:
                     self._announced |= self._announced_before
@@ -163,7 +164,12 @@ class Link:
 
     # --- time -----------------------------------------------------------------------------------------------------
     @property
-    def limit_s(self):
+    def snapshot(self):
+        """(Facts of now, silence after which the link is lost [s]), for another thread than the line's."""
+        with self._lock:
+            return copy.deepcopy(self.facts), self._limit_s
+
+    def _limit_s(self):
         """Silence after which the link is lost [s]: longer when the device answers a request for long."""
         return max(self._silence_s, 2.0 * self._answer_s + 0.5 * self._silence_s)
 
@@ -177,7 +183,7 @@ class Link:
         with self._lock:
             if self._line is None:
                 return
-            if self.facts.state is State.UP and now_s - self.facts.heard_s >= self.limit_s:
+            if self.facts.state is State.UP and now_s - self.facts.heard_s >= self._limit_s:
                 self._lose(now_s)
                 self.facts.state = State.WAITING
                 self._line.discard()
@@ -196,7 +202,7 @@ class Link:
                 return math.inf
             due_s = min(self._ask_s(), self._decoder.due_s)
             if self.facts.state is State.UP:
-                due_s = min(due_s, self.facts.heard_s + self.limit_s)
+                due_s = min(due_s, self.facts.heard_s + self._limit_s)
             if self._rest or self._replies or any(topic_id in self._announced for topic_id in self._waiting):
                 due_s = min(due_s, self._free_s if self._free_s > now_s else now_s + _FULL_LINE_S)
             return due_s

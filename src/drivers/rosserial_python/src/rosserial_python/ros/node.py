@@ -71,21 +71,22 @@ class Device:
     def _on_packet(self, packet):
         guarded(functools.partial(self.topics.on_packet, packet), "a packet of the device")()
 
-    def _cause(self):
+    def _seen(self):
+        """(Facts, limit [s], Cause) of now."""
+        facts, limit_s = self.session.link.snapshot()
         oversized_s = max(self.topics.oversized.values(), default=-math.inf)
-        session = self.session
-        return cause_of(session.link.facts, time.monotonic(), session.error, self.topics.refused, oversized_s)
+        return facts, limit_s, cause_of(facts, time.monotonic(), self.session.error, self.topics.refused, oversized_s)
 
     def tell(self, again=False):
         """Log and publish the state when it is another one; publish it in any case when it is time `again`."""
         with self._telling:
-            facts, cause = self.session.link.facts, self._cause()
+            facts, limit_s, cause = self._seen()
             state, before = facts.state, self._told
             self._told = (state, cause)
             if before != self._told or (self._excused and not self._is_young()):
                 self._log(state, cause, before)
             if again or before != self._told:
-                self._publish(self._message(facts, cause))
+                self._publish(self._message(facts, limit_s, cause))
 
     def _log(self, state, cause, before):
         name = self.session.port.name
@@ -108,7 +109,7 @@ class Device:
         heard = math.isfinite(self.session.link.facts.heard_s)
         return not heard and time.monotonic() - self._began_s < _START_S
 
-    def _message(self, facts, cause):
+    def _message(self, facts, limit_s, cause):
         heard_s = facts.heard_s
         return SerialLink(
             port=self.session.port.name,
@@ -117,18 +118,18 @@ class Device:
             cause=cause,
             reason=TEXTS[cause],
             age_s=time.monotonic() - heard_s if math.isfinite(heard_s) else math.nan,
-            limit_s=self.session.link.limit_s,
-            counters=[Counter(name, count) for name, count in self._counts().items()],
+            limit_s=limit_s,
+            counters=[Counter(name, count) for name, count in self._counts(facts).items()],
             refused_topics=sorted(self.topics.refused),
             oversized_topics=sorted(self.topics.oversized),
         )
 
-    def _counts(self):
-        return {**self.session.link.facts.counts, **self.topics.counts}
+    def _counts(self, facts):
+        return {**facts.counts, **self.topics.counts}
 
     def fill(self, status):
         """Its status on /diagnostics."""
-        facts, cause = self.session.link.facts, self._cause()
+        facts, limit_s, cause = self._seen()
         level = DiagnosticStatus.WARN if cause in WARNINGS else DiagnosticStatus.ERROR
         summarise(
             status,
@@ -139,8 +140,8 @@ class Device:
         heard_s = facts.heard_s if math.isfinite(facts.heard_s) else None
         port = self.session.port
         add_all(status, {"port": port.name, "baud": port.baud or "no limit", "state": facts.state.name.lower()})
-        add_all(status, {"age [s]": age_text(heard_s), "lost after [s]": "%.2f" % self.session.link.limit_s})
-        add_all(status, self._counts())
+        add_all(status, {"age [s]": age_text(heard_s), "lost after [s]": "%.2f" % limit_s})
+        add_all(status, self._counts(facts))
         add_all(status, {"refused " + name: why for name, why in self.topics.refused.items()})
         return status
 
