@@ -1,20 +1,46 @@
-"""What others see of a link while its thread changes it."""
+"""The thread of a line: what ends it, and what others see of the link meanwhile."""
 
+import os
 import sys
 import threading
 import time
 from types import SimpleNamespace
 
+import pytest
 from diagnostic_updater import DiagnosticStatusWrapper
-from scripted_device import announcement, topic_of
+from scripted_device import PseudoTerminal, announcement, topic_of
 from std_msgs.msg import UInt32
 
+from risc_lab.testing import wait_for
+from rosserial_python.link import Link, State
 from rosserial_python.ports import SerialPort
 from rosserial_python.protocol import Id, encode
 from rosserial_python.ros import node
 from rosserial_python.settings import SerialParams
 
 ANSWER = encode(Id.TIME, bytes(8)) + announcement(Id.PUBLISHER, topic_of(125, "board_status", UInt32))
+
+
+@pytest.fixture
+def terminal(tmp_path):
+    """(board's end, port of the other one)."""
+    pair = PseudoTerminal(tmp_path / "ttyACM0")
+    yield pair.plug_in(), SerialPort(pair.url, 57600, 10.0)
+    pair.close()
+
+
+@pytest.mark.parametrize("is_alone", [True, False], ids=["alone", "one of several boards"])
+def test_a_defect_ends_the_line_and_a_node_that_has_no_other(monkeypatch, terminal, is_alone):
+    """It is started again then: with a line that nobody serves it would live on."""
+    end, port = terminal
+    ends = []
+    monkeypatch.setattr(node.rospy, "signal_shutdown", lambda reason: ends.append(device.close()))
+    monkeypatch.setattr(Link, "received", lambda *_: {}["defect"])
+    device = node.Device(port, SerialParams(), lambda message: None, once=not is_alone)
+    os.write(end, ANSWER)
+    wait_for(lambda: device.session.is_over, "the thread's end")
+    assert len(ends) == is_alone and device.session.link.facts.state is State.CLOSED
+    device.close()
 
 
 def test_diagnostics_and_the_session_share_a_link(tmp_path):

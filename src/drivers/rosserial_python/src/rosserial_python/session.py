@@ -19,10 +19,13 @@ _CHIP_BYTES = 64  # that the kernel has handed to the chip, which closing the po
 class Session:
     """One port and its device. `on_packet(packet)` runs in the session's thread and must not wait for anything."""
 
-    def __init__(self, port, silence_s, on_packet, on_change=lambda: None, clock=time.monotonic, once=False):
-        """on_change: called after the state, or why the port is not open, became another.  once: no second opening."""
+    def __init__(self, port, silence_s, on_packet, on_failure, on_change=lambda: None, once=False):
+        """on_change: called after the state, or why the port is not open, became another.  on_failure: called with the
+        exception that ended the thread.  once: no second opening.
+        """
         self.port, self.link, self.error = port, Link(silence_s), None  # error: why the port is not open
-        self._on_packet, self._on_change, self._clock, self._once = on_packet, on_change, clock, once
+        self._on_packet, self._on_failure, self._on_change = on_packet, on_failure, on_change
+        self._clock, self._once = time.monotonic, once
         self._wake_end, self._wake_begin = socket.socketpair()
         self._wake_end.setblocking(False)
         self._wake_begin.setblocking(False)
@@ -38,7 +41,7 @@ class Session:
         """Tell the device to be quiet, close the line, end the thread. Returns whether it has ended."""
         self._over.set()
         self._wake()
-        if self._thread.is_alive():
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(patience_s)
         return not self._thread.is_alive()
 
@@ -92,6 +95,8 @@ class Session:
                     self._on_change()
                 if self.error is not None:
                     self._wait([], _RETRY_S)
+        except Exception as error:  # whatever it is: nobody would serve the line any more
+            self._on_failure(error)
         finally:
             self.port.close()
             self._wake_end.close()

@@ -64,12 +64,20 @@ class Device:
         self._began_s = time.monotonic()
         self._excused = False  # what is wrong was no error yet
         self._telling = threading.Lock()
-        self.session = Session(port, params.silence, self._on_packet, self.tell, once=once)
+        self._is_alone = not once
+        self.session = Session(port, params.silence, self._on_packet, self._on_failure, self.tell, once=once)
         self.topics = Topics(self.session, params.max_age)
         self.session.start()
 
     def _on_packet(self, packet):
         guarded(functools.partial(self.topics.on_packet, packet), "a packet of the device")()
+
+    def _on_failure(self, error):
+        """Alone the node ends, and is started again; beside others only this line does."""
+        what = "the node" if self._is_alone else "it"
+        rospy.logfatal("%s: the line failed, %s ends: %r", self.session.port.name, what, error)
+        if self._is_alone:
+            rospy.signal_shutdown("the line failed: %r" % error)
 
     def _seen(self):
         """(Facts, limit [s], Cause) of now."""
