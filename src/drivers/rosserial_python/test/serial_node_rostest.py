@@ -364,7 +364,7 @@ class SerialNodeTest(unittest.TestCase):
         self.assertEqual(refused.end(), 0)
         with scene(ready=False) as (board, _, node):
             board.is_silent = True
-            node.wait_state(SerialLink.WAITING)
+            node.wait_state(SerialLink.WAITING, SerialLink.SILENT)
         for noise, cause in (
             (bytes(range(0, 250, 3)), SerialLink.SPEED),
             (bytes.fromhex("ffff0a0008000000000000000000ed"), SerialLink.VERSION),

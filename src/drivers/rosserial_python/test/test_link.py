@@ -6,6 +6,7 @@ import math
 import pytest
 
 from rosserial_python import protocol
+from rosserial_python.diagnosis import Cause, cause_of
 from rosserial_python.link import Link, State
 from rosserial_python.protocol import GROOVY_REQUEST, Decoder, Id, Topic, encode
 
@@ -456,6 +457,48 @@ def test_a_write_that_fails_is_the_end_of_the_line():
     scene.link.closed(scene.now_s)
     assert scene.state is State.CLOSED and scene.link.facts.counts["lost"] == 1
     scene.link.post(CONTROLS.topic_id, b"y", scene.now_s)
+def cause(scene):
+    """What `~link` would say."""
+    return cause_of(scene.link.snapshot()[0], scene.now_s)
+
+
+def test_noise_is_damage_for_who_asks():
+    scene = Scene(answers)
+    scene.run(2.0, publishing(2.0))
+    assert cause(scene) is Cause.NONE
+    scene.run(1.0, publishing(1.0) | {0.25: b"noise", 0.45: b"noise", 0.65: encode(STATUS.topic_id, b"x")[:-1]})
+    assert cause(scene) is Cause.DAMAGE
+    for _ in scene.link.snapshot()[0].damaged_s:
+        scene.look(b"noise")  # what another thread iterates over stays as it is
+    scene.run(10.0, publishing(10.0))
+    assert cause(scene) is Cause.NONE
+
+
+@pytest.mark.parametrize(("losses", "found"), [(2, Cause.NONE), (3, Cause.BREAKS)])
+def test_three_losses_within_a_minute_are_a_link_that_breaks(losses, found):
+    scene = Scene(answers)
+    for _ in range(losses):
+        scene.run(2.0)
+        scene.device = None
+        scene.run(0.5)
+        assert cause(scene) is Cause.STOPPED
+        scene.device = answers
+    scene.run(2.0)
+    assert cause(scene) is found
+    scene.run(60.0)
+    assert cause(scene) is Cause.NONE
+
+
+def test_a_device_that_never_says_anything_is_silent():
+    scene = Scene()
+    scene.run(0.9)
+    assert cause(scene) is Cause.NONE, "a first answer may take a second"
+    scene.run(0.2)
+    assert cause(scene) is Cause.SILENT
+    scene.run(0.1, {0.0: bytes(20)})
+    assert cause(scene) is Cause.SPEED
+
+
     scene.link.tick(scene.now_s)
     assert scene.link.due_s(scene.now_s) == math.inf
 
