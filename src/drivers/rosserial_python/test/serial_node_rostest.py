@@ -402,8 +402,12 @@ class SerialNodeTest(unittest.TestCase):
     def test_listening_and_several_devices(self):
         with socket.create_server(("127.0.0.1", 0)) as free:
             number = free.getsockname()[1]
-        for is_fork in (False, True):
-            node = Node("tcp", str(number), fork_server=is_fork)
+        of_all = "/rosserial_embeddedlinux"
+        for is_fork, is_of_all in ((False, False), (True, False), (True, True)):
+            if is_of_all:
+                rospy.set_param(of_all, {"tcp_port": number, "fork_server": True})
+                self.addCleanup(rospy.delete_param, of_all)
+            node = Node("tcp") if is_of_all else Node("tcp", str(number), fork_server=is_fork)
             boards, connections = [], []
             try:
                 for k in range(2 if is_fork else 1):
