@@ -7,6 +7,8 @@ from rosgraph_msgs.msg import Log
 from risc_lab.ros.testing import NodeProcess, wait_for
 from risc_maap_msgs.msg import SerialLink
 
+LATE_S = 0.15  # by which the median of several losses may be noticed late: a busy computer runs other programs first
+
 
 class Node(NodeProcess):
     """serial_node as `arduino`. params: its private parameters."""
@@ -37,6 +39,13 @@ class Node(NodeProcess):
             "state %s with cause %s, found %s" % (state, cause, self.links[-1:]),
         )
         return self.links[-1]
+
+    def loss(self, cut):
+        """The first message that says that the link is lost, after `cut()`."""
+        before = len(self.links)
+        cut()
+        wait_for(lambda: any(link.state == SerialLink.WAITING for link in self.links[before:]), "the loss")
+        return next(link for link in self.links[before:] if link.state == SerialLink.WAITING)
 
     def counter(self, name):
         return {c.name: c.count for c in self.links[-1].counters}[name]
