@@ -113,8 +113,8 @@ class FirmwareTest(unittest.TestCase):
             self.fly(roll, throttle)
         self.assertEqual(self.node.status and self.node.links[-1].refused_topics, [])
         self.assertEqual(self.board.refused_frames, {})
-        wait_for(lambda: self.status[-1].header.stamp > rospy.Time(1), "the board to know the time")
-        self.assertLess(abs((self.status[-1].header.stamp - rospy.Time.now()).to_sec()), 30.0)
+        # a newer status comes every 0.1 s, on a busy computer not always in time
+        wait_for(lambda: abs((self.status[-1].header.stamp - rospy.Time.now()).to_sec()) < 0.1, "the board's time")
 
     def test_noise_and_loss_on_the_line(self):
         """Commands go on, whatever comes of them; the signal shows none that was not given, and works afterwards."""
