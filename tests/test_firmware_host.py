@@ -178,7 +178,7 @@ def test_golden_bytes_of_the_protocol(board):
     published += text(messages[0].PpmStatus._md5sum) + struct.pack("<i", 512)
     subscribed = struct.pack("<H", 100) + text("controls") + text("risc_msgs/Controls")
     subscribed += text(messages[1].Controls._md5sum) + struct.pack("<i", 512)
-    assert packets(sent) == [(10, bytes(8)), (0, published), (1, subscribed)]
+    assert packets(sent) == [(10, bytes(8)), (1, subscribed), (0, published)]
     board.advance(1.0)
     assert PPM_STATUS in dict(packets(board.sent()))
     board.receive(TX_STOP)

@@ -148,8 +148,8 @@ class RosserialDevice {
     asked_for_topics_ = false;
     answered_ms_ = now_ms;
     ask_time(now_ms);
+    announce(kSubscriber, subscribed_);  // first: commands wait for it
     announce(kPublisher, published_);
-    announce(kSubscriber, subscribed_);
     configured_ = true;
   }
 

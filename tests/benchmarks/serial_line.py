@@ -41,7 +41,8 @@ APART_S = 0.5  # between two damages, at least; up to twice that
 STEP_US, STEP_FRACTION = 5, 0.01
 STEPS = 20  # of a channel: from any to any other within one frame (slew limit: 100 us), without confirmation
 COMMANDS = STEPS**3  # that roll, pitch and yaw can tell apart: a frame tells which command it shows
-SHORT_S, LONG_S = (0.002, 0.06), (0.1, 2.0)  # damage; above 0.3 s the link is lost, above 0.5 s it is the failsafe
+# damage; above 0.3 s the link is lost, above 0.5 s it is the failsafe, above 2.5 s the board may have another sketch
+SHORT_S, LONG_S, LONGEST_S = (0.002, 0.06), (0.1, 2.0), (3.0, 6.0)
 UNPLUGGED_S = (0.05, 2.0)
 WARM_UP = 20  # messages that do not count
 PATIENCE_S = 60.0
@@ -399,6 +400,7 @@ def main(arguments=None):
     figures = {
         "damage": {what: after_damage(what, args.trials, SHORT_S) for what in DAMAGES},
         "long damage": {what: after_damage(what, args.trials, LONG_S) for what in DAMAGES},
+        "longest damage": {what: after_damage(what, args.trials, LONGEST_S) for what in DAMAGES},
         "port reopened": {what: after_unplugging(resets, args.trials) for what, resets in REOPENED.items()},
         "reset button": {"": {"signal": reset_board(args.trials)}},
     }

@@ -16,17 +16,19 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from rosserial_python import protocol
-from rosserial_python.protocol import Decoder
+from rosserial_python.protocol import Decoder, Id
 
+USUAL_SILENCE_S = 0.3  # after which a link is lost; who wants more has a device that must not be asked often
 _IN_FLIGHT_BYTES = 256  # that may wait in the kernel or for an acknowledgement when the next packet is written
 _FULL_LINE_S = 0.002  # until it is looked at again
 _WORRY_S = 0.02  # without a sound packet after a damaged one: the device is asked
 _APART_S = 0.05  # between two such questions
-_LOST_APART_S = 0.03  # between two requests to a device that was lost just now, unless its answer takes longer
+_OFTEN_S, _OFTEN_SHARE = 0.02, 0.65  # between two requests to a device that was lost; at least, and of its answer
 _SAME_PROGRAM_S = 2.5  # without a sound packet: a device has the same program, as loading another one takes longer
 _AGAIN_S = 0.1  # between two requests while topics are missing
 _SECOND_REQUEST_S = 1.0  # after the first announcement: one that was lost without a trace is found
 _GROOVY_EVERY = 8  # requests to a device that never answered: it may speak the old protocol
+_TIME_BYTES = len(protocol.encode(Id.TIME, bytes(8)))  # an answer begins with this
 _REPLIES = 64  # answers that may wait; a device waits for each of its own
 
 
@@ -76,7 +78,7 @@ class _Waiting:
 class Link:
     """See the module. Any thread may call; packets are returned, never handed to a callback."""
 
-    def __init__(self, silence_s=0.3):
+    def __init__(self, silence_s=USUAL_SILENCE_S):
         self._silence_s = silence_s
         self._lock = threading.Lock()
         self._line = self._decoder = None
@@ -127,7 +129,7 @@ class Link:
         with self._lock:
             facts, decoder = self.facts, self._decoder
             decoder.longest_bytes = self._longest_bytes
-            if self._lost_just_now(now_s):
+            if self._is_lost:
                 # only the answer counts: noise that looks like the head of a long packet must not hide it
                 decoder.longest_bytes = max(size for size, _ in self._answers.values())
             damaged, stray = decoder.damaged, decoder.stray_bytes
@@ -162,13 +164,13 @@ class Link:
             self._flush(now_s)
             return packets
 
-    # --- time -----------------------------------------------------------------------------------------------------
-    @property
     def snapshot(self):
         """(Facts of now, silence after which the link is lost [s]), for another thread than the line's."""
         with self._lock:
             return copy.deepcopy(self.facts), self._limit_s
 
+    # --- time -----------------------------------------------------------------------------------------------------
+    @property
     def _limit_s(self):
         """Silence after which the link is lost [s]: longer when the device answers a request for long."""
         return max(self._silence_s, 2.0 * self._answer_s + 0.5 * self._silence_s)
@@ -176,7 +178,8 @@ class Link:
     @property
     def _answer_s(self):
         """How long a device answers to a request [s]."""
-        return sum(size for size, _ in self._answers.values()) * self._line.byte_s if self._line else 0.0
+        answer_bytes = _TIME_BYTES + sum(size for size, _ in self._answers.values())
+        return answer_bytes * self._line.byte_s if self._line else 0.0
 
     def tick(self, now_s):
         """Notice a loss, ask, write what may be written; after `received`, and as soon as `due_s` says."""
@@ -207,23 +210,27 @@ class Link:
                 due_s = min(due_s, self._free_s if self._free_s > now_s else now_s + _FULL_LINE_S)
             return due_s
 
-    def _lost_just_now(self, now_s):
+    @property
+    def _is_lost(self):
         """Whether a device was lost whose answer is known."""
-        is_recent = now_s < self.facts.heard_s + _SAME_PROGRAM_S
-        return self.facts.state is State.WAITING and bool(self._answers) and is_recent
+        facts = self.facts
+        return facts.state is State.WAITING and bool(self._answers) and math.isfinite(facts.heard_s)
 
     def _ask_s(self):
         """When the device is to be asked for its topics next."""
         asked_s, quiet_s = self._asked_s, 0.5 * self._silence_s
+        is_patient = self._silence_s > USUAL_SILENCE_S
+        often_s = math.inf if is_patient else max(_OFTEN_S, _OFTEN_SHARE * self._answer_s)
         if self.facts.state is not State.UP:
-            soon_s = min(quiet_s, max(_LOST_APART_S, self._answer_s))
-            return asked_s + (soon_s if self._lost_just_now(asked_s) else quiet_s)
+            return asked_s + (min(quiet_s, often_s) if self._is_lost else quiet_s)
         # a device that answers for long is asked so that the answers take half of the line at most
         due_s = max(self.facts.heard_s + quiet_s, asked_s + max(0.5 * quiet_s, 2.0 * self._answer_s))
         if math.isfinite(self._suspected_s):
             due_s = min(due_s, max(self._suspected_s + _WORRY_S, asked_s + _APART_S))
         if self._announced_s is None or self._unsure or self._missing:
             due_s = min(due_s, asked_s + max(_AGAIN_S, 2.0 * self._answer_s))
+        if self._missing:
+            due_s = min(due_s, asked_s + often_s)
         if self._announced_s is not None and not self._asked_again:
             due_s = min(due_s, self._announced_s + _SECOND_REQUEST_S)
         return due_s

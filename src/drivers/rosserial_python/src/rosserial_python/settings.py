@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from risc_lab.settings import Count, Port, Positive, Settings, between
 from risc_lab.strangers import Guests
+from rosserial_python.link import USUAL_SILENCE_S
 
 USUAL_BAUD = 57600
 LISTEN = "tcp"  # as ~port: devices connect to ~tcp_port
@@ -20,7 +21,7 @@ class SerialParams(Settings):
     fork_server: bool = False  # with tcp: several devices at a time
     tcp_from: tuple[str, ...] = ()  # with tcp: addresses of devices, or networks A.B.C.0/24; others than this computer
     fix_pyserial_for_test: bool = False  # opens with rtscts and dsrdtr
-    silence: Positive = 0.3  # [s] without a sound packet after which the link is lost
+    silence: Positive = USUAL_SILENCE_S  # [s] without a sound packet after which the link is lost
     max_age: Positive = 0.25  # [s] an older message is not sent any more; by header.stamp, of messages that have one
     reopen_after: Count = 10  # [s] of silence after which a serial port is opened again (which resets most boards)
 
