@@ -7,7 +7,7 @@ what they were while it was seen.
 import math
 from collections import deque
 
-from risc_control.climb_observer import within
+from risc_lab.limits import within
 
 _FEELS_S, _FELT_S = 0.5, 3.0  # of reports while it is seen: from so many on they count; time constant of their zeros
 _FELT_GAP_S = 0.25  # between reports at most

@@ -4,6 +4,7 @@ import math
 
 from risc_control.vehicles import climb_loops
 from risc_lab.command_history import ROWS, Channel, last_by
+from risc_lab.limits import within
 
 _MAX_GAP_S = 0.2  # between states: the observer begins anew
 _OBSERVER_RAD_S, _TRIM_M_S2, _STEP_S = 2.0, 3.0, 0.02
@@ -49,8 +50,3 @@ class ClimbObserver:
             up_m_s2 = self._loop.gain * command - self._loop.damping_1_s * self.climb_m_s
             self.climb_m_s += step_s * up_m_s2
             self._time_s += step_s
-
-
-def within(value, most):
-    """The value, or the nearest of -most to most."""
-    return min(max(value, -most), most)

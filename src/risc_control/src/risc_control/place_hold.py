@@ -6,10 +6,10 @@ vehicle's way, up after a take-off and down to the floor. It begins with the mot
 
 import math
 
-from risc_control.climb_observer import within
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.vehicles import Command
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.limits import within
 
 PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held; on the former the fence counts
 STOP_M_S2 = 2.5  # when it slows down: others may be in its way, or the floor;

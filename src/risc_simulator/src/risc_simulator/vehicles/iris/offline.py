@@ -9,6 +9,7 @@ from collections import deque
 
 import numpy as np
 
+from risc_lab.limits import within
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.vehicles.iris.firmware import CENTRE_US, HALF_RANGE_US, RcFrame
 from risc_simulator.vehicles.iris.sensors import IrisSensors
@@ -54,7 +55,7 @@ class OfflineLink:
             if fractions is not None:  # until the first sticks the board sends nothing
                 silent = self._frame_s - heard_s > FAILSAFE_S
                 goal_us = FAILSAFE_US if silent else _channels_us(fractions)
-                self._sent_us = tuple(us + _within(goal - us, SLEW_US) for us, goal in zip(self._sent_us, goal_us))
+                self._sent_us = tuple(us + within(goal - us, SLEW_US) for us, goal in zip(self._sent_us, goal_us))
                 self.vehicle.schedule(self._frame_s + self._delay_s, RcFrame(self._sent_us))
             self._frame_s += FRAME_S
 
@@ -67,7 +68,7 @@ class OfflineLink:
         believed = begins or _agree(self._doubted, message) or _agree(self._accepted, message)
         self._doubted = _NONE
         if believed:
-            self._accepted = message[0], tuple(_within(fraction, 1.0) for fraction in message[1])
+            self._accepted = message[0], tuple(within(fraction, 1.0) for fraction in message[1])
             if begins:
                 self._sent_us = _channels_us(self._accepted[1])
         else:
@@ -107,7 +108,3 @@ def _agree(known, message):
 
 def _channels_us(fractions):
     return tuple(CENTRE_US + round(HALF_RANGE_US * fraction) for fraction in fractions)
-
-
-def _within(value, most):
-    return min(max(value, -most), most)
