@@ -174,6 +174,8 @@ for line in sys.stdin:
     if line.strip() == "take off":
         thread.post(thread.link.take_off)
     while line.strip() == "steer":
+        if not thread.link.keeps_flying:  # it lands by itself when the lab or the computer stood still
+            thread.post(thread.link.take_off)
         thread.post(thread.link.steer, Sticks(1, 0.0, -0.15, 0.0, 0.0))
         time.sleep(0.03)
 """
