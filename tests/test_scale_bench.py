@@ -56,6 +56,17 @@ def test_a_row_that_fails_keeps_its_keys_and_is_told(tmp_path, monkeypatch, capf
     assert "failed: " in capfd.readouterr().out
 
 
+@pytest.mark.release
+def test_the_filter_that_was_asked_for_flies(tmp_path, monkeypatch):
+    path, rmse_mm = tmp_path / "figures.json", []
+    for options in (), ("--estimator", "ekf"):
+        words = ["--kinds", "offline", "--vehicles", "1", "--seconds", "1", "--load", "quiet", "--json", str(path)]
+        monkeypatch.setattr(sys, "argv", ["scale.py", *words, *options])
+        assert scale.main() == 0
+        rmse_mm += [row["rmse_mm"] for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
+    assert len(set(rmse_mm)) == 2
+
+
 @pytest.mark.parametrize("kind", ["graph", "estimation"])
 def test_lines_through_the_rows(kind):
     rows = [

@@ -2,7 +2,7 @@
 
 graph        `maap fly` with so many vehicles (simulated); latency from the datagram to cmd_vel
 estimation   virtual cameras -> stream_markers -> states_estimation -> a subscriber, so many bodies of five markers
-             that stand in the net; latency from the datagram to /cortex_raw
+             that stand in the net; latency from the datagram to the states
 offline      the closed loop without ROS, on one core, as fast as it goes
 
 Loaded: a program that never waits takes what it can of one core meanwhile. A row is a process of its own, or a flight.
@@ -24,6 +24,9 @@ import numpy as np
 import psutil
 import yaml
 
+from risc_experiments.estimators import add_option
+from risc_experiments.fly import STATES
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 COUNTS = {"graph": (1, 3, 5, 10, 20, 50), "estimation": (1, 3, 10, 20, 50, 100), "offline": (1, 3, 10, 20, 50)}
 FIGURES = ("p50_ms", "p99_ms", "frames_lost", "cpu_cores", "memory_mb", "times_real_time")
@@ -39,7 +42,11 @@ ESTIMATION_LAUNCH = """<launch>
     <arg name="fleet" value="$(arg fleet)"/>
     <arg name="statistics" value="$(dirname)/virtual_lab.json"/>
   </include>
-  <include file="{launch}/mocap.launch"><arg name="fleet" value="$(arg fleet)"/></include>
+  <include file="{launch}/mocap.launch">
+    <arg name="fleet" value="$(arg fleet)"/>
+    <arg name="estimator" value="{estimator}"/>
+    <arg name="states" value="{states}"/>
+  </include>
 </launch>
 """
 PEERS = {  # {what pip installs: program; it prints the version, the simulation's rate [Hz] and times real time}
@@ -77,11 +84,13 @@ def busy_loop(wanted):
             program.wait()
 
 
-def graph(vehicles, seconds, folder):
+def graph(vehicles, args):
     """Figures of a flight. It is told its rate, and so does not go on at less on a computer that is too slow."""
+    folder = args.folder
     command = [sys.executable, "-m", "risc_experiments.fly", "--vehicles", str(vehicles), "--seed", str(SEED)]
-    command += ["--trajectory", COURSE, "--duration", "%g" % seconds, "--mocap-rate", "%g" % RATE_HZ]
-    command += ["--out", str(folder / "flight")]
+    command += ["--trajectory", COURSE, "--duration", "%g" % args.seconds, "--mocap-rate", "%g" % RATE_HZ]
+    command += ["--estimator", args.estimator] if args.estimator else []
+    command += ["--states", args.states, "--out", str(folder / "flight")]
     with (folder / "fly.txt").open("w") as log:
         subprocess.call(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
     path = folder / "flight" / "summary.json"
@@ -103,10 +112,11 @@ def graph(vehicles, seconds, folder):
     }
 
 
-def estimation(bodies, seconds, folder):
+def estimation(bodies, args):
     """Figures of motion capture and estimation alone."""
     import rospy
 
+    from risc_estimation.filters import DEFAULT
     from risc_experiments.processor_use import ProcessorUse
     from risc_lab.lab import generated_fleet
     from risc_lab.ros import low_latency
@@ -114,10 +124,11 @@ def estimation(bodies, seconds, folder):
     from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
     from risc_maap_msgs.msg import MocapTime
 
-    reservation, port = PortReservation(), free_tcp_port()
+    folder, reservation, port = args.folder, PortReservation(), free_tcp_port()
     fleet = _of_five_markers(replace(generated_fleet(bodies), landmarks=())).in_subnet(reservation.subnet)
     (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict()), encoding="utf-8")
-    (folder / "estimation.launch").write_text(ESTIMATION_LAUNCH.format(launch=ROOT / "launch"), encoding="utf-8")
+    text = ESTIMATION_LAUNCH.format(launch=ROOT / "launch", estimator=args.estimator or DEFAULT, states=args.states)
+    (folder / "estimation.launch").write_text(text, encoding="utf-8")
     os.environ.update(ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1")
     launch = Launch(folder / "estimation.launch", {"fleet": folder / "fleet.yaml"}, folder, port)
     try:
@@ -134,13 +145,13 @@ def estimation(bodies, seconds, folder):
             states.append((estimate.header.stamp.to_nsec(), now_ns, int(estimate.visible.sum())))
 
         rospy.Subscriber("/mocap_time", MocapTime, on_time, tcp_nodelay=True)
-        rospy.Subscriber("/cortex_raw", CortexArrays.Raw, on_states, buff_size=2**22, tcp_nodelay=True)
+        rospy.Subscriber("/" + args.states, CortexArrays.Raw, on_states, buff_size=2**22, tcp_nodelay=True)
         _wait(lambda: len(states) > RATE_HZ, launch)
         time.sleep(SETTLE_S)
         use = ProcessorUse(launch.identity)
         use.look()
         first = len(states)
-        time.sleep(seconds)
+        time.sleep(args.seconds)
         last = len(states)
         use.look()
         time.sleep(0.5)
@@ -193,14 +204,15 @@ def _master_answers(port):
         return False
 
 
-def offline(vehicles, seconds, _folder):
+def offline(vehicles, args):
     """Figures of the closed loop on one core."""
     from risc_experiments.offline import Flight, fly
 
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    fly(Flight(trajectory=COURSE, vehicles=1, seed=SEED, duration_s=1.0))  # loads what is compiled
+    flight = Flight(trajectory=COURSE, vehicles=1, seed=SEED, estimator=args.estimator, duration_s=1.0)
+    fly(flight)  # loads what is compiled
     used_s = sum(os.times()[:2])
-    result = fly(Flight(trajectory=COURSE, vehicles=vehicles, seed=SEED, duration_s=seconds))
+    result = fly(replace(flight, vehicles=vehicles, duration_s=args.seconds))
     return {
         "cpu_cores": (sum(os.times()[:2]) - used_s) / result.took_s,
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
@@ -209,12 +221,12 @@ def offline(vehicles, seconds, _folder):
     }
 
 
-def row_of(kind, vehicles, loaded, seconds):
-    """One row, measured in a process of its own."""
+def row_of(kind, vehicles, loaded, options):
+    """One row, measured in a process of its own. options: for its command line."""
     row = dict({"kind": kind, "vehicles": vehicles, "loaded": loaded}, **dict.fromkeys(FIGURES))
     begin_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder, busy_loop(loaded):
-        command = [sys.executable, __file__, "--row", kind, str(vehicles), "%g" % seconds, "--folder", folder]
+        command = [sys.executable, __file__, *options, "--row", kind, str(vehicles), "--folder", folder]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == 0:
         row.update(json.loads(done.stdout.splitlines()[-1]))
@@ -297,14 +309,18 @@ def main():
     add("--seconds", type=float, default=20.0, help="that are measured (default: 20)")
     add("--load", choices=("quiet", "loaded", "both"), default="both")
     add("--peers", action="store_true", help="install simulators of others from PyPI, and compare (offline)")
-    add("--row", nargs=3, help=argparse.SUPPRESS)
+    add_option(add)
+    add("--states", choices=STATES, default=STATES[0], help="of graph and estimation, as those of maap fly")
+    add("--row", nargs=2, help=argparse.SUPPRESS)
     add("--folder", type=pathlib.Path, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.row:
-        kind, vehicles, seconds = args.row
+        kind, vehicles = args.row
         measure = {"graph": graph, "estimation": estimation, "offline": offline}[kind]
-        print(json.dumps(measure(int(vehicles), float(seconds), args.folder)))
+        print(json.dumps(measure(int(vehicles), args)))
         return 0
+    options = ["--seconds", "%g" % args.seconds, "--states", args.states]
+    options += ["--estimator", args.estimator] if args.estimator else []
     print("%s (simulated)" % computer())
     columns = "%-10s %8s %-6s %9s %9s %6s %6s %8s %8s"
     heading = ("kind", "vehicles", "load", "p50", "p99", "lost", "cores", "memory", "speed")
@@ -314,7 +330,7 @@ def main():
     for kind in args.kinds:
         for loaded in {"quiet": (False,), "loaded": (True,), "both": (False, True)}[args.load]:
             for vehicles in args.vehicles or COUNTS[kind]:
-                row = row_of(kind, vehicles, loaded, args.seconds)
+                row = row_of(kind, vehicles, loaded, options)
                 rows.append(row)
                 reasons = " ".join("; ".join(row.get("reasons", ())).split())
                 problem = "" if row.get("passed", True) else "  failed: " + reasons[:_MOST_WORDS]
