@@ -12,6 +12,8 @@ import time
 import pytest
 import yaml
 
+from risc_lab.ros.launching import free_tcp_port
+
 PATIENCE_S = 60.0  # far more than anything here takes
 NAMESPACE = "/iris1/apm"
 ARM, ALT_HOLD, AUTO, STABILIZE = 3, 8, 9, 7
@@ -31,12 +33,6 @@ def wait_until(condition, what):
         time.sleep(0.05)
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 class Computer:
     """A master, the virtual lab and a driver; all of them end with the test."""
 
@@ -44,7 +40,7 @@ class Computer:
         self._folder, self._programs = folder, programs
         self._address = "127.%d.%d.%d" % tuple(random.SystemRandom().randrange(1, 250) for _ in range(3))
         (folder / "fleet.yaml").write_text(FLEET % (self._address, self._address))
-        port = free_port()
+        port = free_tcp_port()
         self._environment = dict(
             os.environ, ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1", ROS_HOME=str(folder)
         )

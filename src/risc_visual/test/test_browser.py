@@ -14,21 +14,16 @@ from page_client import PageClient, wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from risc_lab.ros.launching import free_tcp_port
 from risc_lab.strangers import Guests, Strangers
 from risc_visual.browser import page_server
 from risc_visual.browser.live_status import BrowserPanel
 from risc_visual.browser.page_server import is_page_of_others, open_server
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def server():
-    opened = open_server("127.0.0.1", free_port())
+    opened = open_server("127.0.0.1", free_tcp_port())
     yield opened
     opened.stop()
 
@@ -61,7 +56,7 @@ def test_a_port_that_is_taken_is_told(server):
 
 def test_an_address_of_another_computer_is_told():
     with pytest.raises(ValueError, match="192.0.2.1.*127.0.0.1"):
-        open_server("192.0.2.1", free_port())
+        open_server("192.0.2.1", free_tcp_port())
 
 
 def test_two_buttons_pressed_at_once_land_both(server):
@@ -126,7 +121,7 @@ def guarded(monkeypatch):
         def open_guarded(*guests):
             monkeypatch.setattr(Guests, "_is_loopback", lambda self, address: False)
             strangers = Strangers(lambda level, text: None, "page")
-            opened = open_server("127.0.0.1", free_port(), Guests(guests), strangers)
+            opened = open_server("127.0.0.1", free_tcp_port(), Guests(guests), strangers)
             stack.callback(opened.stop)
             return opened.get_port(), strangers
 
@@ -159,7 +154,7 @@ def test_who_keeps_connections_open_keeps_nobody_out(guarded, monkeypatch, is_li
 
 @pytest.mark.parametrize("takes_files", [False, True])
 def test_nobody_fills_the_memory_with_a_file(takes_files):
-    opened = open_server("127.0.0.1", free_port())
+    opened = open_server("127.0.0.1", free_tcp_port())
     if takes_files:  # the control arm
         kind = viser._messages.FileTransferStartUpload
         opened.gui._websock_interface.register_handler(kind, opened.gui._handle_file_transfer_start)

@@ -4,7 +4,6 @@ import copy
 import functools
 import math
 import pathlib
-import socket
 
 import genpy
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
+from risc_lab.ros.launching import free_tcp_port
 from risc_visual.browser import marker_scene
 from risc_visual.browser.marker_scene import MarkerScene
 from risc_visual.browser.marker_shapes import SHAPES, net_of_sheet, text_picture
@@ -30,10 +30,7 @@ CORNERS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
 
 @pytest.fixture(scope="module")
 def server():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    opened = open_server("127.0.0.1", port)
+    opened = open_server("127.0.0.1", free_tcp_port())
     yield opened
     opened.stop()
 
