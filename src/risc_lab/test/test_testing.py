@@ -2,11 +2,14 @@
 
 import socket
 import struct
+import threading
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
 rospy = pytest.importorskip("rospy")
 
+import rosgraph  # noqa: E402
 from rospy.impl.tcpros_base import TCPROSTransport  # noqa: E402
 from rospy.impl.tcpros_pubsub import TCPROSSub  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
@@ -21,7 +24,21 @@ def header(**fields):
     return struct.pack("<I", len(body)) + body
 
 
-def test_a_publisher_counts_when_its_header_has_come():
+@pytest.fixture
+def connections(monkeypatch):
+    """List of the rows that every node tells of its connections."""
+    told = []
+    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as node:
+        node.register_function(lambda _caller: [1, "bus info", told], "getBusInfo")
+        monkeypatch.setattr(rosgraph.Master, "lookupNode", lambda *_: "http://127.0.0.1:%d" % node.server_address[1])
+        thread = threading.Thread(target=node.serve_forever)
+        thread.start()
+        yield told
+        node.shutdown()
+        thread.join()
+
+
+def test_a_publisher_counts_when_its_header_has_come_and_it_sends_to_us(connections):
     subscriber = rospy.Subscriber("/heard", Bool, lambda _message: None)
     transport = TCPROSTransport(TCPROSSub("/heard", Bool), "/heard")
     here, there = socket.socketpair()
@@ -31,6 +48,11 @@ def test_a_publisher_counts_when_its_header_has_come():
         assert subscriber.get_num_connections() == 1 and publishers_heard(subscriber) == set()
         there.sendall(header(callerid="/lidar", type=Bool._type, md5sum=Bool._md5sum))
         transport.read_header()
+        ours = rospy.get_name()
+        for row in [1, ours, "o", "TCPROS", "/other"], [2, ours, "i", "TCPROS", "/heard"]:
+            connections.append([*row, True, ""])
+            assert publishers_heard(subscriber) == set()
+        connections.append([3, ours, "o", "TCPROS", "/heard", True, ""])
         assert publishers_heard(subscriber) == {"/lidar"}
     finally:
         there.close()

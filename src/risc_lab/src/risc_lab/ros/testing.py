@@ -1,10 +1,13 @@
 """For tests with a graph: a node in a process of its own that is spoken to by its topics and services."""
 
+import contextlib
 import itertools
 import os
 import signal
 import subprocess
+import xmlrpc.client
 
+import rosgraph
 import roslib.packages
 import rospy
 
@@ -16,10 +19,19 @@ _numbers = itertools.count(1)
 
 def publishers_heard(subscriber):
     """Names of the nodes of which every message reaches this rospy.Subscriber from now on, in a set; rospy's
-    get_num_connections counts those that it has only decided to call.
+    get_num_connections counts those that it has only decided to call. They are asked, too: a publisher of rospy sends
+    its header first, and what it publishes only once it has made a note of us.
     """
-    callers = {connection.callerid_pub for connection in subscriber.impl.connections}
-    return callers - {_UNKNOWN}
+    callers = {connection.callerid_pub for connection in subscriber.impl.connections} - {_UNKNOWN}
+    return {caller for caller in callers if _sends_to_us(caller, subscriber.resolved_name)}
+
+
+def _sends_to_us(node, topic):
+    ours, connections = rospy.get_name(), ()
+    with contextlib.suppress(OSError, rosgraph.MasterException):  # it has ended
+        with xmlrpc.client.ServerProxy(rosgraph.Master(ours).lookupNode(node)) as slave:
+            _, _, connections = slave.getBusInfo(ours)
+    return any((whose, way, what) == (ours, "o", topic) for _, whose, way, _, what, *_ in connections)
 
 
 class Listener:
