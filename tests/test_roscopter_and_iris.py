@@ -97,7 +97,8 @@ def test_battery_commands_sticks_emergency_stop_and_the_way_back(computer):
 
     assert not computer.command(ARM)  # no transmitter
     assert re.search(r"arm failed: .*PreArm: Radio failsafe", computer.said("driver"))
-    assert computer.command(ALT_HOLD) and computer.newest("state")["mode"] == "ALT_HOLD"
+    assert computer.command(ALT_HOLD)
+    wait_until(lambda: computer.newest("state")["mode"] == "ALT_HOLD", "the mode in a heartbeat")
     assert not computer.command(AUTO)
     assert "requires position" in computer.said("driver")
     assert computer.command(STABILIZE)
@@ -106,7 +107,8 @@ def test_battery_commands_sticks_emergency_stop_and_the_way_back(computer):
         "sticks", "rostopic", "pub", "-r", "20", NAMESPACE + "/send_rc", "roscopter/RC", "channel: " + LOWEST_THROTTLE
     )
     wait_until(lambda: computer.newest("rc")["channel"] == yaml.safe_load(LOWEST_THROTTLE), "the sticks")
-    assert computer.command(ARM) and computer.newest("state")["armed"]
+    assert computer.command(ARM)
+    wait_until(lambda: computer.newest("state")["armed"], "an armed heartbeat")
     computer.run("rostopic", "pub", "-1", NAMESPACE + "/emergency_stop", "std_msgs/Empty")
     wait_until(lambda: not computer.newest("state")["armed"], "the motors to stop")
     sticks.kill()
