@@ -14,8 +14,9 @@ from std_msgs.msg import UInt32
 from risc_lab.testing import wait_for
 from rosserial_python.link import Link, State
 from rosserial_python.ports import SerialPort
-from rosserial_python.protocol import Id, encode
+from rosserial_python.protocol import Decoder, Id, encode
 from rosserial_python.ros import node
+from rosserial_python.session import Session
 from rosserial_python.settings import SerialParams
 
 ANSWER = encode(Id.TIME, bytes(8)) + announcement(Id.PUBLISHER, topic_of(125, "board_status", UInt32))
@@ -41,6 +42,18 @@ def test_a_defect_ends_the_line_and_a_node_that_has_no_other(monkeypatch, termin
     wait_for(lambda: device.session.is_over, "the thread's end")
     assert len(ends) == is_alone and device.session.link.facts.state is State.CLOSED
     device.close()
+
+
+def test_a_silent_board_is_not_asked_again_after_the_goodbye(monkeypatch, terminal):
+    """Its answer would be to publish again, to nobody."""
+    end, port = terminal
+    monkeypatch.setattr(Link, "idle", False)  # the goodbye takes as long as it may
+    session = Session(port, 0.05, lambda packet: None, pytest.fail)
+    session.start()
+    wait_for(lambda: session.link.facts.counts["requests"] > 1, "questions")
+    assert session.stop()
+    packets = Decoder().feed(os.read(end, 4096), 0.0)
+    assert len(packets) > 2 and packets[-1].topic_id == Id.TX_STOP
 
 
 def test_diagnostics_and_the_session_share_a_link(tmp_path):

@@ -198,6 +198,11 @@ class Link:
                 self._ask(now_s)
             self._flush(now_s)
 
+    def flush(self, now_s):
+        """Write what waits and may be written. At the end it replaces `tick`, which asks a device that is silent."""
+        with self._lock:
+            self._flush(now_s)
+
     def due_s(self, now_s):
         """When `received` with no bytes and `tick` are to be called, unless bytes come before [s]."""
         with self._lock:

@@ -146,7 +146,7 @@ class Session:
         link.reply(Id.TX_STOP, b"", self._clock())
         while self._clock() < end_s and link.failure is None and not (link.idle and line.queued() == 0):
             time.sleep(_POLL_S)
-            link.tick(self._clock())
+            link.flush(self._clock())
         time.sleep(_CHIP_BYTES * line.byte_s)
 
     def _wait(self, readers, longest_s):
