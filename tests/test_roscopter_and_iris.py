@@ -7,12 +7,12 @@ import re
 import socket
 import subprocess
 import sys
-import time
 
 import pytest
 import yaml
 
 from risc_lab.ros.launching import free_tcp_port
+from risc_lab.testing import wait_for
 
 PATIENCE_S = 60.0  # far more than anything here takes
 NAMESPACE = "/iris1/apm"
@@ -24,13 +24,6 @@ mocap: {host: %s, command_port: 26000, stream_group: 225.1.1.77, stream_port: 26
 vehicles:
   - {namespace: iris1, template: IRIS, type: iris, address: %s, start: {position_m: [0, 0, 0], yaw_deg: 0}}
 """
-
-
-def wait_until(condition, what):
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "not within %g s: %s" % (PATIENCE_S, what)
-        time.sleep(0.05)
 
 
 class Computer:
@@ -46,7 +39,7 @@ class Computer:
         )
         self._environment.pop("ROS_HOSTNAME", None)
         self.start("master", "rosmaster", "--core", "-p", str(port))
-        wait_until(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "a master")
+        wait_for(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "a master")
 
     def start(self, name, *command, **variables):
         """A program whose output goes to the file of its name."""
@@ -98,7 +91,7 @@ def test_battery_commands_sticks_emergency_stop_and_the_way_back(computer):
     assert not computer.command(ARM)  # no transmitter
     assert re.search(r"arm failed: .*PreArm: Radio failsafe", computer.said("driver"))
     assert computer.command(ALT_HOLD)
-    wait_until(lambda: computer.newest("state")["mode"] == "ALT_HOLD", "the mode in a heartbeat")
+    wait_for(lambda: computer.newest("state")["mode"] == "ALT_HOLD", "the mode in a heartbeat")
     assert not computer.command(AUTO)
     assert "requires position" in computer.said("driver")
     assert computer.command(STABILIZE)
@@ -106,16 +99,16 @@ def test_battery_commands_sticks_emergency_stop_and_the_way_back(computer):
     sticks = computer.start(
         "sticks", "rostopic", "pub", "-r", "20", NAMESPACE + "/send_rc", "roscopter/RC", "channel: " + LOWEST_THROTTLE
     )
-    wait_until(lambda: computer.newest("rc")["channel"] == yaml.safe_load(LOWEST_THROTTLE), "the sticks")
+    wait_for(lambda: computer.newest("rc")["channel"] == yaml.safe_load(LOWEST_THROTTLE), "the sticks")
     assert computer.command(ARM)
-    wait_until(lambda: computer.newest("state")["armed"], "an armed heartbeat")
+    wait_for(lambda: computer.newest("state")["armed"], "an armed heartbeat")
     computer.run("rostopic", "pub", "-1", NAMESPACE + "/emergency_stop", "std_msgs/Empty")
-    wait_until(lambda: not computer.newest("state")["armed"], "the motors to stop")
+    wait_for(lambda: not computer.newest("state")["armed"], "the motors to stop")
     sticks.kill()
-    wait_until(lambda: computer.newest("rc")["channel"] != yaml.safe_load(LOWEST_THROTTLE), "the release")
+    wait_for(lambda: computer.newest("rc")["channel"] != yaml.safe_load(LOWEST_THROTTLE), "the release")
 
     lab.kill()
     lab.wait()
-    wait_until(lambda: "no word from the autopilot" in computer.said("driver"), "the loss")
+    wait_for(lambda: "no word from the autopilot" in computer.said("driver"), "the loss")
     computer.start_lab()
     assert computer.newest("status")["battery_remaining"] >= 90
