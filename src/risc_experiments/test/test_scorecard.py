@@ -228,6 +228,13 @@ def test_flights_can_be_shared_out_by_their_seeds(options, seeds, flight_s):
     assert plan.seeds == seeds and plan.flight_s == flight_s
 
 
+@pytest.mark.parametrize("options, minutes", [(("--minutes", "9"), 9.0), (("--seeds", "3", "--minutes", "9"), None)])
+def test_a_scorecard_says_how_long_its_rows_were_to_be(options, minutes):
+    plan = command.plan_of(command.arguments(["--faults", "none", *options])[1])
+    card = command.scorecard_of(plan, SimpleNamespace(flown={}), "./maap scorecard", True)
+    assert card["settings"]["minutes"] == minutes
+
+
 @pytest.mark.parametrize(
     "options, words",
     [

@@ -21,7 +21,7 @@ from risc_experiments.soak.processes import OURSELVES, Processes
 from risc_experiments.soak.run import LogFollower, Record
 from risc_experiments.soak.settings import ProgramFaultParams, SoakLimits, SoakParams, load_params
 from risc_lab.ros.launching import MARK, wait_until
-from risc_simulator.faults import load_faults
+from risc_simulator.faults import load_fault_file
 
 HOUR_S = 3600.0
 PARAMS = SoakParams()
@@ -72,8 +72,9 @@ def test_faults_of_a_flight_end_within_it_and_are_safe_ones():
 
 def test_a_script_flies_as_a_file_of_faults(tmp_path):
     events = next(flight for flight in map(faults_of, range(1, 99)) if any(event.program for event in flight))
-    (tmp_path / "faults.yaml").write_text(script.file_text(events))
-    assert load_faults(tmp_path / "faults.yaml") == events
+    (tmp_path / "faults.yaml").write_text(script.file_text(events, 7))
+    flown = load_fault_file(tmp_path / "faults.yaml")
+    assert flown.faults == events and flown.seed == 7
 
 
 def test_wanted_faults_are_drawn_alone_and_wrong_names_are_named():

@@ -159,7 +159,7 @@ def scorecard_of(plan, record, command, complete):
         "command": command,
         "revision": revision(root) if root else None,
         "ladder": plan.ladder,
-        "settings": asdict(plan.params) | {"flight_s": plan.flight_s},
+        "settings": asdict(plan.params) | {"flight_s": plan.flight_s, "minutes": None if plan.seeds else plan.minutes},
         "rows": rows,
         "totals": totals_of(rows),
         "findings": findings,

@@ -279,7 +279,7 @@ class Soak:
         folder = self.folder_of(self.number)
         folder.mkdir(parents=True)
         events = script.faults_of(self.number, self.args.seed, self.deck, self._vehicles, self.params.duration_s)
-        (folder / FAULTS).write_text(script.file_text(events), encoding="utf-8")
+        (folder / FAULTS).write_text(script.file_text(events, self.args.seed), encoding="utf-8")
         self._events, self._injected = events, False
         self._record_into(folder)
         self._watch.begin_flight()

@@ -71,7 +71,8 @@ def check(deck, duration_s):
         raise ValueError("no fault fits into flights of %g s on the course: a longer --duration" % duration_s)
 
 
-def file_text(events):
-    """Content of a file for `./maap fly --faults`."""
+def file_text(events, seed):
+    """Content of a file for `./maap fly --faults`. seed: of the soak, and so of its vehicles."""
     fields = ("fault", "vehicle", "severity", "duration_s", "start_s", "channel", "program")
-    return yaml.safe_dump({"faults": [{name: getattr(event, name) for name in fields} for event in events]})
+    faults = [{name: getattr(event, name) for name in fields} for event in events]
+    return yaml.safe_dump({"seed": seed, "faults": faults}, sort_keys=False)
