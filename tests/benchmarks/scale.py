@@ -159,7 +159,8 @@ def estimation(bodies, args):
         launch.stop()
         reservation.close()
     times = np.array(states[first:last], dtype=np.int64)
-    datagrams = dict(sent)
+    datagrams, stamps = dict(sent), np.unique(times[:, 0])
+    predicted = sum(stamp not in datagrams for stamp in stamps.tolist())
     latency_ms = [1e-6 * (receipt - datagrams[stamp]) for stamp, receipt, _ in times.tolist() if stamp in datagrams]
     expected = 1 + round((times[-1, 0] - times[0, 0]) * 1e-9 * RATE_HZ)
     figures = use.figures()
@@ -169,7 +170,8 @@ def estimation(bodies, args):
         "p99_ms": float(np.percentile(latency_ms, 99.0)),
         "max_ms": float(np.max(latency_ms)),
         "frames": expected,
-        "frames_lost": expected - len(np.unique(times[:, 0])),
+        "frames_lost": expected - len(stamps),
+        "predicted": predicted,  # states between frames: a filter gives them where a frame is late
         "not_visible": int(bodies * len(times) - times[:, 2].sum()),
         "cpu_cores": sum(cores for name, cores in figures["cpu_cores"].items() if own not in name),
         "memory_mb": sum(mb for name, mb in figures["memory_mb"].items() if own not in name),

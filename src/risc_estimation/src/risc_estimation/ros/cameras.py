@@ -24,7 +24,6 @@ class VehicleCameras:
         """
         self._rectified = rectified
         self._topic = "%%s/%s/camera_info" % camera if camera else "%s/camera_info"
-        self._default = default_calibration
         self._lock = threading.Lock()  # every camera_info has a thread of its own
         self._namespace = {vehicle.template: vehicle.namespace for vehicle in fleet}
         self._known, self._problems = {}, {}  # namespace: (CameraCalibration, Camera, where from); what is wrong
