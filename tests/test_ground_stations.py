@@ -1,6 +1,6 @@
 """Ground stations connect to the virtual IRIS+ without a complaint, and see it fly: MAVProxy and MAVSDK as they are.
 
-Of QGroundControl it is the sequence of requests by which it connects. `./maap test --all` installs the others.
+For QGroundControl, only its sequence of requests when it connects. `./maap test --all` installs the others.
 """
 
 import collections
@@ -39,7 +39,7 @@ COMPLAINT = re.compile(
 
 
 class Program:
-    """A running program, whose lines are kept with the times when they came."""
+    """A running program; its output lines are kept with the times at which they came."""
 
     def __init__(self, *command, **options):
         self.process = subprocess.Popen(
@@ -83,13 +83,13 @@ class Program:
         return hit
 
     def ask(self, line, pattern):
-        """Match in what is printed after a line was said."""
+        """Send a line. Returns the match of the pattern in the output that follows."""
         after = len(self.lines)
         self.say(line)
         return self.wait(pattern, after)[0]
 
     def poll(self, line, pattern):
-        """The same, asked again and again: MAVProxy says nothing of a message that has not come yet."""
+        """As `ask`, repeated: MAVProxy prints nothing about a message that has not come yet."""
         after, end_s = len(self.lines), time.monotonic() + PATIENCE_S
         while True:
             self.say(line)
@@ -186,15 +186,16 @@ def test_mavproxy(lab, transmitter, tmp_path):
         for kind, what in (("wp", "waypoints"), ("fence", "fence items"), ("rally", "rally items")):
             station.ask("%s list" % kind, "Requesting 0 %s" % what)
 
+        def height_mm():
+            return int(station.poll("status GLOBAL_POSITION_INT", r"GLOBAL_POSITION_INT .*relative_alt : (-?\d+)")[1])
+
+        height_mm()  # if its first request for streams came too early, MAVProxy sends the next one after 15 s
         station.ask("mode ALT_HOLD", "Mode ALT_HOLD")
         station.ask("arm throttle", r"\bARMED")
         transmitter.throttle = 0.6
-        height_mm, end_s = 0, time.monotonic() + PATIENCE_S
-        while height_mm < 600 and time.monotonic() < end_s:
-            height_mm = int(
-                station.poll("status GLOBAL_POSITION_INT", r"GLOBAL_POSITION_INT .*relative_alt : (-?\d+)")[1]
-            )
-        assert height_mm >= 600
+        end_s = time.monotonic() + PATIENCE_S
+        while height_mm() < 600:
+            assert time.monotonic() < end_s
         transmitter.throttle = 0.0
         after = len(station.lines)
         station.say("mode LAND")
@@ -252,7 +253,7 @@ class QGroundControl:
         self._waiting = collections.deque()
 
     def _next(self, patience_s):
-        """The next message; None: there is none for so long."""
+        """The next message; None if there is none within patience_s."""
         if not self._waiting:
             self._socket.settimeout(patience_s)
             with contextlib.suppress(TimeoutError):
@@ -266,7 +267,7 @@ class QGroundControl:
         self.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE)
 
     def wait(self, name, is_it=lambda message: True, patience_s=CONNECTED_S):
-        """The next message of this name that is the one."""
+        """The next message of this name for which is_it is true."""
         end_s = time.monotonic() + patience_s
         while (left_s := end_s - time.monotonic()) > 0.0:
             message = self._next(left_s)
@@ -279,7 +280,7 @@ class QGroundControl:
         raise AssertionError("no %s" % name)
 
     def order(self, command, *params):
-        """Result of a command."""
+        """Send a command. Returns its result."""
         params = [*params, *[0.0] * (7 - len(params))]
         self.mav.command_long_send(*self.target, command, 0, *params)
         return self.wait("COMMAND_ACK", lambda ack: ack.command == command).result
@@ -321,7 +322,7 @@ class QGroundControl:
         return found
 
     def steer(self, throttle):
-        """As its joystick: forward, right, up, clockwise."""
+        """Send sticks as QGroundControl's joystick does: forward, right, up, clockwise."""
         self.mav.manual_control_send(self.target[0], 0, 0, throttle, 0, 0)
 
 
