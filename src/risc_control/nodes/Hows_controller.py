@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Pursues a virtual target (virtual_target.py) by nonlinear guidance, as soon as that runs; until then flies to it."""
+"""Pursues a virtual target (virtual_target.py) by nonlinear guidance once it moves; until then flies to it."""
 
 import numpy as np
 import rospy
@@ -11,7 +11,7 @@ from risc_lab.ros.params import vehicles
 
 
 class GuidanceNode(ControllerNode):
-    """A controller that is told on `target_velocity` whether its reference is a target, and publishes `range`."""
+    """A controller that learns from `target_velocity` whether its reference is a moving target; publishes `range`."""
 
     def __init__(self):
         self._range = rospy.Publisher("/range", Float64, queue_size=1)

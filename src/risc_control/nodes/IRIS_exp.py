@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The IRIS+ for data: origin and quadrants I, II, III, IV, I, stepped through by the joystick's bumpers."""
+"""Experiments with the IRIS+: origin and quadrants I, II, III, IV, I, stepped through by the joystick's bumpers."""
 
 from risc_control.ros.controller_node import main
 from risc_control.ros.experiment_node import IrisExperiment

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""What a fleet file says, for launch files:
+"""Values of a fleet file, for launch files:
 
     <param name="stream_markers/mocap" type="yaml" command="fleet_value.py FLEET mocap SOURCE"/>
 
 Usage: fleet_value.py FLEET mocap SOURCE | FLEET NAMESPACE KEY | FLEET drivers FOLDER OUT [KEY:=VALUE...] NAMESPACE...
 mocap: prints ~mocap of stream_markers for a source of motion capture, see config/sources of cortex_ros.
 A vehicle's KEY is one of its own, one of its type's (video_latency_s ..., keys of `own`), one of its type's devices
-(what its driver opens), or camera_info_url: prints its value.
-drivers: writes the launch file OUT that starts the drivers of these vehicles, and prints whose they are. For each
+(which its driver opens), or camera_info_url: prints its value.
+drivers: writes the launch file OUT that starts the drivers of these vehicles, and prints {driver: namespaces}. For each
 vehicle it includes the launch file of its type, with those of its arguments that are a KEY; is_first is true for the
-first vehicle of a driver. FOLDER holds the launch files of the types in the tree. A KEY:=VALUE counts before the
-vehicle's own unless it is empty.
+first vehicle of a driver. FOLDER holds the launch files of the types in the tree. A KEY:=VALUE overrides the vehicle's
+own value unless it is empty.
 """
 
 import pathlib
@@ -25,7 +25,7 @@ from risc_lab.lab.yaml_reader import config_files, load_yaml, member_folders
 
 
 def fleet_value(fleet, what, *words):
-    """What is to be printed, see above. Raises ValueError when there is none."""
+    """Value to print, see above. Raises ValueError when there is none."""
     if what == "mocap":
         return mocap_parameters(fleet.mocap, *words)
     if what == "drivers":
@@ -38,7 +38,7 @@ def fleet_value(fleet, what, *words):
 
 
 def mocap_parameters(endpoint, source):
-    """Settings of a source of motion capture: its YAML file, with what the fleet file says of the host in its place."""
+    """Settings of a source of motion capture: its YAML file, overridden by what the fleet file says of the host."""
     files = config_files("sources", "cortex_ros")
     if source not in files:
         raise ValueError("no source of motion capture '%s'; there are %s" % (source, ", ".join(sorted(files))))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Differential flatness controller of several vehicles (thesis 6; Appendix C); ~controller: another one by its name."""
+"""Differential flatness controller of several vehicles (thesis 6; Appendix C); ~controller selects another one."""
 
 from risc_control.ros.controller_node import ControllerNode, main
 

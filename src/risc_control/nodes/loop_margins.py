@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Margins of the control loop: risc_experiments.loop_margins, which flies it offline, by a name for rosrun."""
+"""Margins of the control loop: risc_experiments.loop_margins, which flies it offline, under a name for rosrun."""
 
 import runpy
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""References for Hows_controller.py: a place to wait at, and, after a button, a target that runs on a circle."""
+"""References for Hows_controller.py: a place to wait at, and, after a button press, a target moving on a circle."""
 
 from dataclasses import dataclass
 
@@ -17,13 +17,13 @@ from risc_lab.settings import Count
 
 @dataclass(frozen=True)
 class ChaseParams(ButtonParams):
-    """The button that lets the target go."""
+    """The button that releases the target."""
 
     chase_button: Count = 1
 
 
 class VirtualTargetNode(ReferenceNode):
-    """Publishes the speed of the target, too, on `target_velocity`, 0 while it rests."""
+    """Also publishes the speed of the target on `target_velocity`, 0 while it rests."""
 
     def __init__(self):
         kinds = TrajectoryParams, TargetParams, ChaseParams

@@ -23,7 +23,7 @@ NAMES = ("fluffy_II", "albatross")
 
 
 class Lab:
-    """States at 200 Hz and references at 200 Hz, as long as they are switched on."""
+    """States and references at 200 Hz, and the answers of the controllers."""
 
     def __init__(self):
         self.offset_m = dict.fromkeys(NAMES, (0.0, 0.0, 0.0))  # reference - actual
@@ -33,7 +33,7 @@ class Lab:
         self.age_s = 0.0
         self.received = {"/controls": [], "/thesis_controls": []}
         self.sent = set()  # stamps of states
-        # Long queues: what is lost in a stall of this computer is lost in the node, which wants the newest only.
+        # Long queues: in a stall of this computer only the node drops messages, as it wants the newest only.
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=100)
         self._references = rospy.Publisher("/trajectory", Trajectories, queue_size=100)
         self._status = [rospy.Publisher("/risc%d/controller_status" % k, Bool, queue_size=1) for k in (1, 2)]
@@ -50,7 +50,7 @@ class Lab:
                 references.header.stamp = stamp
                 states = Cortex()
                 states.header.stamp = stamp - rospy.Duration(self.age_s)
-                # the order differs from the fleet's, and there is somebody whom nobody knows
+                # the order differs from the fleet's, and there is an unknown vehicle
                 for name in (*reversed(NAMES), "ghost"):
                     x, y, z = self.offset_m.get(name, (0.0, 0.0, 0.0))
                     states.Obj.append(States(name=name, visible=self.visible.get(name, True), z=1.0, psi=self.psi_deg))
@@ -89,9 +89,9 @@ class ControllerNodeTest(unittest.TestCase):
         return list(itertools.takewhile(lambda m: m.header.stamp.to_sec() > since_s, newest_first))
 
     def newest(self, topic, names=NAMES, after_s=0.25):
-        """{name: Control} of the newest message that commands all of these; nobody else may be commanded.
+        """{name: Control} of the newest message that commands all of these; no other vehicle may be commanded.
 
-        Counted are messages stamped `after_s` from now or later, so that changes have had their effect. Somebody may
+        Only messages stamped `after_s` from now or later count, so that changes have had their effect. A vehicle may
         miss a command while this computer stalls.
         """
         since_s = rospy.get_time() + after_s
@@ -103,7 +103,7 @@ class ControllerNodeTest(unittest.TestCase):
 
     @contextlib.contextmanager
     def other_states(self):
-        """(answers of the node that flies by /cortex_ekf, function that tells it a state of all)."""
+        """(answers of the node that uses /cortex_ekf, function that sends it states of all vehicles)."""
         answers, states = [], rospy.Publisher("/cortex_ekf", Cortex, queue_size=100)
         subscriber = rospy.Subscriber("/ekf_controls", Controls, answers.append, queue_size=100)
 
@@ -131,7 +131,7 @@ class ControllerNodeTest(unittest.TestCase):
             self.assertLessEqual(orders, {NAMES, NAMES[:1], NAMES[1:], ()})
 
     def test_states_of_a_clock_that_is_set_back_are_answered(self):
-        """By less than what is too late. Without a rule there would be no answer until the old time is reached."""
+        """Set back by less than the age limit. Without the rule no answer would come until the old time is reached."""
         self.newest("/controls")
         self.lab.age_s = 0.15
         received, before = self.lab.received["/controls"], len(self.lab.received["/controls"])
@@ -143,7 +143,7 @@ class ControllerNodeTest(unittest.TestCase):
         wait_for(falls_back, "an answer to a state of the new clock")
 
     def test_it_flies_by_the_states_that_it_is_told_and_by_no_others(self):
-        """States of a topic of its own, while /cortex_raw has another vehicle's place: nothing, then an answer."""
+        """The node that uses /cortex_ekf does not answer the states on /cortex_raw, but those on its own topic."""
         with self.other_states() as (answers, tell):
             before = len(self.lab.received["/controls"])
             wait_for(lambda: len(self.lab.received["/controls"]) > before + 50, "the others answer /cortex_raw")
@@ -175,7 +175,7 @@ class ControllerNodeTest(unittest.TestCase):
         self.assertAlmostEqual(controls["albatross"].theta, controls["fluffy_II"].theta, delta=1e-6)
         client = Client("/thesis", timeout=LIMIT_S)
         before = client.get_configuration()["q_position"]
-        for q_position, ratio in ((2.0, 2.0), (0.5, 4.0)):  # those of all; the gain is the root of a weight
+        for q_position, ratio in ((2.0, 2.0), (0.5, 4.0)):  # the common weight; the gain is the square root of a weight
             client.update_configuration({"q_position": q_position})
             controls = self.newest("/thesis_controls")
             self.assertAlmostEqual(controls["albatross"].theta / controls["fluffy_II"].theta, ratio, delta=0.05)

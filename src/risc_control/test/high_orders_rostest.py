@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A controller of order 6 in the graph: it asks, the trajectory node tells, and what it gets is exact; so are the
+"""A controller of order 6 in the graph: the derivatives that it requests from the trajectory node are exact; so are the
 covariances of the states, as long as there are fresh ones.
 """
 
@@ -21,7 +21,7 @@ from risc_msgs.msg import Controls, Cortex, States
 
 RADIUS_M, FREQUENCY_RAD_S = 0.7, 2.0 * math.pi / 5.0  # of circle_traj.py
 STATES, STATES_HZ = 300, 100.0
-VARIANCE_M2, COVARIANCES = 0.25, 150  # of the states, the first ones
+VARIANCE_M2, COVARIANCES = 0.25, 150  # of x; sent with the first states
 OLD_S = 0.2  # ~state_timeout
 TOLD = 0.1  # see members/controllers/sixth.py
 TIMEOUT_S = 60.0
@@ -36,7 +36,7 @@ class HighOrdersTest(unittest.TestCase):
         variances = np.zeros((len(S), len(S)))
         variances[S.X, S.X] = VARIANCE_M2
         others = StateCovariance("Raven", [1.0] * len(S) ** 2), StateCovariance("fluffy_II", variances.ravel().tolist())
-        known_s = []  # stamps
+        known_s = []  # stamps of the covariances
 
         def on_controls(message):
             if message.Obj:
@@ -90,7 +90,7 @@ class HighOrdersTest(unittest.TestCase):
         errors = []
         for stamp, command in commands.items():
             found = np.array([command.phi / units.phi[0], command.theta / units.theta[0]]) * 0.1 / TOLD
-            # it acts when it has been sent, some milliseconds after the stamp, and the link has taken its time
+            # it takes effect after sending, some milliseconds after the stamp, and after the delay of the link
             ahead_s = stamp.to_sec() + effective_delay_s(kind) + np.arange(0.0, 0.05, 0.001)
             expected = np.array([derivatives(time_s, 7)[5:] for time_s in ahead_s])
             errors.append(np.abs(expected - found).max(axis=1).min())

@@ -1,4 +1,4 @@
-"""A vehicle that does not fly itself with its pilot, and a clock that the test turns."""
+"""A vehicle that does not hover by itself, with its pilot, on a clock that the test advances."""
 
 import math
 
@@ -21,10 +21,10 @@ STEP_S, LATENCY_S, REST_M = 0.005, 0.006, 0.1
 
 
 class Iris:
-    """Autopilot and vehicle; cortex frame. more: of the thrust that it has for a throttle, e.g. 0.9.
+    """Autopilot and vehicle; cortex frame. more: factor on the thrust for a given throttle, e.g. 0.9.
 
-    quicker: of its attitude loops.  level_rad: roll and pitch of what it takes for level.  trim_rad: that it believes
-    to be told with the sticks centred.
+    quicker: factor on the bandwidth of its attitude loops.  level_rad: roll and pitch that it takes for level.
+    trim_rad: roll and pitch that it reads from centred sticks.
     """
 
     def __init__(self, more=1.0, battery_pct=60.0, delay_s=0.05, quicker=1.0, level_rad=(0.0, 0.0)):
@@ -35,7 +35,7 @@ class Iris:
         self.armed, self.mode, self.arms = False, "STABILIZE", True
         self.impact_m_s = 0.0
         self._under_way, self.sticks = [], Sticks(0.0, 0.0, -1.0, 0.0)
-        self.heard_s = 0.0  # when it was sent sticks last
+        self.heard_s = 0.0  # when it last received sticks
 
     def send(self, sticks, now_s):
         self._under_way.append((now_s + self._delay_s, sticks))
@@ -99,7 +99,7 @@ class Iris:
 class Sensors:
     """What the autopilot reports of tilt and height, at 10 Hz, with the errors of the virtual IRIS+.
 
-    late_s: of the reports.  stuck: they repeat themselves.
+    late_s: delay of the reports.  stuck: the last report is repeated.
     """
 
     def __init__(self, seed, late_s=0.08):
@@ -130,8 +130,8 @@ class Desk(JoystickDesk):
     """A pilot with its vehicle: ticks at 66 Hz, states and controls at 200 Hz, telemetry at 4 Hz, the board at 10 Hz,
     and the joystick at 20 Hz from its first message on.
 
-    alive: what works; without "radio" nothing that is sent arrives, without "state" motion capture looks and does not
-    see it, without "frames" it says nothing.  fly: function of the desk that gives the controller's `Command`.
+    alive: what works; without "radio" nothing that is sent arrives, without "state" motion capture runs but does not
+    see it, without "frames" no frames come.  fly: function of the desk that gives the controller's `Command`.
     """
 
     def __init__(self, iris=None, fly=None, **params):
@@ -166,7 +166,7 @@ class Desk(JoystickDesk):
         return orders
 
     def run(self, duration_s, until=None):
-        """Go on, at most so long; returns whether `until` came true."""
+        """Run for at most duration_s; return whether `until` came true."""
         for _ in range(round(duration_s / STEP_S)):
             self.now_s += STEP_S
             self._step += 1
@@ -215,7 +215,7 @@ class Desk(JoystickDesk):
 
 
 def level_at(height_m):
-    """A controller without an integral."""
+    """A controller that holds a height, level, without an integral."""
 
     def fly(desk):
         own = desk.iris.own()
@@ -242,7 +242,7 @@ def circling(desk):
 
 
 def flown(more=0.9, **params):
-    """In autonomous mode, after a hover of a few seconds."""
+    """Desk in autonomous mode, after a hover of a few seconds."""
     desk = Desk(Iris(more=more), **params).up()
     desk.run(4.0)
     desk.fly = level_at(desk.iris.position_m[2])

@@ -81,7 +81,7 @@ class Lab:
             pass  # the end of the test
 
     def command(self, node, after_s=0.4):
-        """The newest Control of the IRIS+ that answers a state from `after_s` from now on; nobody else has any."""
+        """The newest Control of the IRIS+ that answers a state from `after_s` from now on; no other vehicle has one."""
         since = rospy.Time.now() + rospy.Duration(after_s)
         messages = self.controls[node]
         wait_for(lambda: messages and messages[-1].header.stamp > since and messages[-1].Obj, "%s commands" % node)

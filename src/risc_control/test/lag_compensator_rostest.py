@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Lag_compensator.py on its topics: states of now and commands in, states of then out."""
+"""Lag_compensator.py on its topics: current states and commands in, predicted states out."""
 
 import sys
 import unittest
@@ -59,7 +59,7 @@ class LagCompensatorTest(unittest.TestCase):
         self.assertFalse(answer.Obj[1].visible)
 
     def test_a_message_says_which_node_sent_it(self):
-        """Of any node: rospy may move where it keeps that."""
+        """`sender` works for any node; it may fail when rospy moves where it keeps the name."""
         self.assertEqual(sender(self.answer(lambda m: True, "an answer")), "/Compensator")
 
 

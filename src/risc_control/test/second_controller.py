@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""A controller of another process, as a student's: slow, for the vehicle ~template alone, and with ~torn between its
-messages some that are cut off.
+"""A controller in another process, like a student's: slow, for the vehicle ~template alone. With ~torn it also sends
+truncated messages.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ RATE_HZ = 30.0
 
 
 class Torn(Controls):
-    """Its second half is lost."""
+    """Controls without the second half of the message."""
 
     def serialize(self, buff):
         whole = io.BytesIO()

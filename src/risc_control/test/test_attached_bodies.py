@@ -1,4 +1,4 @@
-"""What vehicles carry: a controller gets it in the rows of the vehicles, from /cortex_raw as well."""
+"""What vehicles carry: a controller gets these bodies in the rows of their vehicles, from /cortex_raw as well."""
 
 import io
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from risc_lab.states import S, States
 
 @dataclass(frozen=True)
 class Params:
-    """One, for vehicles that have another."""
+    """One parameter, which vehicles may have of their own."""
 
     number: float = 0.0
 
 
 class Looker(controllers.Controller):
-    """Keeps what it is shown."""
+    """Controller that records the states it is given."""
 
     PARAMS = Params
     SEEN = []  # Bundle of each step, as the controller gets them
@@ -49,7 +49,7 @@ def looking(seen, own):
 
 
 def update(loop, bodies):
-    """A frame."""
+    """Feed one frame to the loop."""
     everyone, reference = np.ones(3, dtype=bool), np.zeros((3, 3, 4))
     states = States(everyone, np.zeros((3, len(S))))
     loop.update(0.0, 0.006, states, reference, reference, everyone, everyone, bodies)

@@ -17,7 +17,7 @@ STEP_S = 0.001
 class Body:
     """The level motion of a vehicle at a constant height: attitude loops, thrust and drag; cortex frame.
 
-    quicker: of the attitude loops than those of the type.
+    quicker: factor on the bandwidth of the type's attitude loops.
     """
 
     def __init__(self, vehicle_type, velocity_m_s, psi_rad, quicker=1.0):
@@ -71,7 +71,7 @@ def test_it_stops(type_name, north, west, psi_deg, quicker):
     body = Body(kind, (north, west), math.radians(psi_deg), quicker)
     _, brakings = flown(body)
     assert np.linalg.norm(body.velocity_m_s) < 0.06 and np.abs(body.angles_rad).max() < math.radians(2.0)
-    # 0.1 s unseen, the delay, and what no vehicle takes away sooner
+    # 0.1 s unseen, the delay, and the way that no vehicle can shorten
     assert np.linalg.norm(body.position_m) < (0.38 if type_name == "ardrone" else 0.28)
     assert max(abs(angle) for brake in brakings for angle in brake[:2]) <= TILT_RAD
     assert not brakings[0].stopped and brakings[-1].stopped
@@ -83,7 +83,7 @@ def test_it_stops(type_name, north, west, psi_deg, quicker):
 
 @pytest.mark.parametrize("type_name", ["ardrone", "iris"])
 def test_it_knows_what_its_last_commands_still_do(type_name):
-    """It stood when it was seen last, tilted: it is accelerated until the first brake takes effect."""
+    """It was last seen at rest, but tilted: it accelerates until the first brake takes effect."""
     body = Body(load_vehicle_type(type_name), (0.0, 0.0), 0.4)
     braking, brakings = flown(body, lean_rad=0.1)
     assert np.linalg.norm(body.velocity_m_s) < 0.06

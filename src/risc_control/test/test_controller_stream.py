@@ -11,7 +11,7 @@ LATENCY_S = 0.003  # from the state's stamp to the message's arrival
 
 
 def listen(period_s, seconds, jitter_s=0.0, seed=1):
-    """A node that commands one vehicle by a controller of this period. Returns (ages of what was answered [s], read).
+    """A node that commands one vehicle by a controller of this period: (ages of answered messages [s], number read).
 
     Nothing is read while the node waits; then it gets the newest that has come, at once if there is one.
     """

@@ -115,7 +115,7 @@ def test_predicts_what_the_nonlinear_model_does(horizon_s, tolerance_m):
             x = integrate(motion, i, now_s, horizon_s, delay_s, commands)
             assert (found.north_m, -found.east_m, found.up_m) == pytest.approx(x[:3], abs=tolerance_m)
             assert (found.north_m_s, -found.east_m_s, found.up_m_s) == pytest.approx(x[3:6], abs=10 * tolerance_m)
-            # a command that acts up to half a grid step early or late is all that may be wrong with the angles
+            # the only error of the angles: commands act up to half a grid step early or late
             assert (found.phi_rad, found.theta_rad) == pytest.approx((x[6], x[8]), abs=5e-3)
             assert found.psi_rad == pytest.approx(x[10], abs=5e-3)
 
@@ -196,7 +196,7 @@ def in_force(sent, computed, stamp_s, steps=30):
 
 
 def test_what_was_really_sent_counts_up_to_a_period_after_the_newest_then_what_was_computed():
-    """A link of 0.1 s, on average half a period of waiting for the turn, and half a period for which one holds."""
+    """A link of 0.1 s, on average half a period until the next send, and half a period for which a command holds."""
     sent, computed, period_s = CommandHistory(1), CommandHistory(1), 1.0 / ARDRONE.command_rate_hz
     for k in range(200):  # up to 10.0
         computed.append(0, 9.005 + 0.005 * k, np.full(4, 9.005 + 0.005 * k))

@@ -1,4 +1,4 @@
-"""The disturbance observer: what it knows of tilt and rate, level, gain, lag and push; what it does not believe."""
+"""The disturbance observer: its estimates of tilt, rate, level, gain, lag and push; what it rejects."""
 
 import math
 from collections import deque
@@ -21,13 +21,13 @@ PLANT = plants([ARDRONE])[0]
 PARAMS = Params()
 UNLEARNT_DRAG = replace(PARAMS, drag_spread_1_s=0.0)
 FRAME_S = 0.005
-_STEP_S = 0.001  # of the vehicle
+_STEP_S = 0.001  # of the simulated vehicle
 
 
 class Flyer:
     """A vehicle whose loops are those of the model, with a level, gains, drag and a push of its own, heading north.
 
-    later_s: so much later commands act.  bandwidth: of its loops of tilt, times those of the model.
+    later_s: extra delay of commands.  bandwidth: of its tilt loops, relative to the model's.
     """
 
     climb_gain, climb_level_m_s, drags = 1.0, 0.0, 1.0
@@ -48,7 +48,7 @@ class Flyer:
         self.time_s, self._rng = 100.0, np.random.default_rng(seed)
 
     def step(self, command, interval_s=FRAME_S, seen=True, angle_noise_rad=0.0, shown_m=(0.0, 0.0), climb_m_s=0.0):
-        """Fly on under a command (roll, pitch; climb), and be seen, farther away by shown_m."""
+        """Fly on under a command (roll, pitch; climb) and observe the vehicle, at a position off by shown_m."""
         for _ in range(round(interval_s / _STEP_S)):
             self._commands.append(tuple(command))
             self._climbs.append(climb_m_s)
@@ -68,7 +68,7 @@ class Flyer:
             observe(self.observed, self.time_s, tilt, way, told, earlier, 0.0, PLANT, self._steps, self.unknown)
 
     def _move(self, steps):
-        """Tilt, velocity and place, so many steps on: by plain numbers, which are ten times as fast as arrays of 2."""
+        """Advance tilt, velocity and place by `steps`: in plain numbers, which are ten times as fast as arrays of 2."""
         tilts, gains, levels = self.tilt.tolist(), self.gain.tolist(), self.level.tolist()
         (x, y), (u, v), pushes = self.place.tolist(), self.velocity.tolist(), self.push.tolist()
         drag_1_s, h = self.drags * float(PLANT.drag_1_s), _STEP_S
@@ -125,7 +125,7 @@ def test_it_knows_the_rate_from_noisy_angles():
 
 @pytest.mark.parametrize("interval_s", [0.005, 0.01, 0.02])
 def test_it_learns_level_gain_and_push_at_any_rate(interval_s):
-    """Also those of both axes, and their sign; what there is not, it does not learn."""
+    """On both axes, with their signs; it learns nothing that is not there."""
     flyer = Flyer(level=(0.01, -0.02), gain=(0.85, 1.1), push=(0.3, 0.0))
     for k in range(round(40.0 / interval_s)):
         flyer.step(waving(k * interval_s / FRAME_S), interval_s)
@@ -164,7 +164,7 @@ def test_of_a_type_that_is_told_its_thrust_it_learns_nothing_of_the_climb():
 
 @pytest.mark.parametrize("bandwidth", [0.8, 1.25])
 def test_it_learns_how_late_another_loop_is(bandwidth):
-    """Of another bandwidth, bandwidth or quicker: it lags by 2 zeta / wn."""
+    """Tilt loops of another bandwidth than the model's: a loop lags by 2 zeta / wn."""
     flyer = Flyer(bandwidth=bandwidth)
     lag_s = [2.0 * loop.damping_ratio / loop.natural_frequency_rad_s for loop in (ARDRONE.roll, ARDRONE.pitch)]
     for k in range(4000):
@@ -184,7 +184,7 @@ def test_a_push_is_known_within_a_second():
 
 @pytest.mark.parametrize(("drags", "params"), [(3.0, PARAMS), (0.5, PARAMS), (3.0, UNLEARNT_DRAG)])
 def test_it_learns_the_drag_on_a_circle(drags, params):
-    """Which turns with the vehicle, faster than a push is learnt; what is not drag stays a push. Without: no drag."""
+    """Drag turns with the velocity, faster than a push is learnt; the rest stays a push. UNLEARNT_DRAG: no drag."""
     flyer = Flyer(params, push=(0.0, 0.2))
     flyer.drags = drags
     for k in range(4000):

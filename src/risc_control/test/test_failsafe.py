@@ -1,4 +1,4 @@
-"""risc_control.failsafe: every rule of the loss ladder, with a clock that the test turns."""
+"""risc_control.failsafe: every rule of the loss ladder, on a clock that the test advances."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ class Flight:
         self.run(0.1)
 
     def run(self, duration_s, airborne=True, obeys=False):
-        """Go on for so long; returns the verdict at the end."""
+        """Run for duration_s; return the verdict at the end."""
         for _ in range(round(duration_s / 0.005)):
             self.now_s += 0.005
             if self.suspect:
@@ -56,7 +56,7 @@ def test_normal_flight_is_ok():
 
 
 def decided(verdict):
-    """What a verdict is, but for its words."""
+    """A verdict without its text."""
     return verdict.level, verdict.rule
 
 
@@ -198,7 +198,7 @@ def test_a_silent_joystick_is_no_loss_where_somebody_says_so():
 
 
 def test_a_joystick_that_is_lost_is_missed_beside_others():
-    """A person's, with the emergency stop; the virtual operator goes on."""
+    """The person's joystick, with the emergency stop, is lost; the virtual operator's goes on."""
     flight = Flight()
     for _ in range(2):
         flight.ladder.note_joystick(flight.now_s, "/joy_node")
@@ -250,9 +250,9 @@ def test_inside_the_fence(position):
 @pytest.mark.parametrize(
     ("position", "velocity", "holds"),
     [
-        ((1.0, 0.0, 1.0), (1.8, 0.0, 0.0), True),  # it goes on for some 1.6 m
+        ((1.0, 0.0, 1.0), (1.8, 0.0, 0.0), True),  # it needs some 1.6 m to stop
         ((1.0, 0.0, 1.0), (1.2, 0.0, 0.0), False),
-        ((1.95, 0.0, 1.0), (-2.0, 0.0, 0.0), False),  # on its way in
+        ((1.95, 0.0, 1.0), (-2.0, 0.0, 0.0), False),  # on its way back in
         ((0.0, -1.6, 1.0), (0.0, -0.6, 0.0), True),
         ((0.0, 0.0, 2.5), (0.0, 0.0, 0.9), True),
         ((0.0, 0.0, 2.5), (0.0, 0.0, 0.4), False),
@@ -329,7 +329,7 @@ def test_one_that_is_too_near_to_others_holds_then_lands():
 
 @pytest.mark.parametrize("what", ["state", "controls"])
 def test_those_that_hold_because_of_the_same_loss_go_on_together(what):
-    """Each hears a little later that the others hold no more: a short loss would land them all."""
+    """Each learns a little late that the others no longer hold: without this a short loss would land them all."""
     flight, limits = Flight(), SafetyLimits()
     flight.alive.remove(what)
     assert flight.run(0.11).level == FailsafeLevel.HOLD
@@ -344,7 +344,7 @@ def test_those_that_hold_because_of_the_same_loss_go_on_together(what):
 
 
 def test_two_that_are_near_each_other_do_not_go_on_after_a_loss():
-    """What was seen of it before, or during the loss, counts: each short loss would give them a moment more."""
+    """Nearness seen before or during the loss counts: otherwise each short loss would give them more time."""
     flight = Flight()
     flight.alive.remove("controls")
     assert flight.run(0.11).level == FailsafeLevel.HOLD

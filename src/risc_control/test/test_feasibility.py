@@ -193,7 +193,7 @@ def test_waypoints_without_times_are_flown_as_fast_as_it_goes():
 
 
 def flown(course, factor, limits):
-    """Accelerations and speeds of the references of a flight on a course, and home; times of the ways."""
+    """(greatest speed, greatest acceleration, phases) of the references of a flight on a course, and home."""
     fleet = vehicles()
     manager = make_manager(fleet, course, limits=limits)
     manager.see("t0", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0)
@@ -219,7 +219,7 @@ def test_ways_to_and_from_a_fast_course_ask_for_no_more_than_it_does():
     speed_m_s, acceleration_m_s2, phases = flown(fast, factor, limits)
     assert speed_m_s <= 1.2 * own[Order.VELOCITY] + 1e-6
     assert acceleration_m_s2 <= 1.1 * max(own[Order.ACCELERATION], limits.acceleration_most_m_s2) + 1e-6
-    # with nothing but the course's own peaks for limits they ask for more than any tilt makes
+    # limited by the course's own peaks alone, they need more than the greatest tilt gives
     unlimited = replace(limits, acceleration_most_m_s2=1e3, speed_most_m_s=1e3)
     kind = load_vehicle_type("ardrone")
     assert flown(fast, factor, unlimited)[1] > GRAVITY_M_S2 * math.tan(kind.pitch.gain * kind.tilt_max_rad)

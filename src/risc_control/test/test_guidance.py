@@ -18,7 +18,7 @@ DT_S = 0.005
 
 
 def states(visible=True, x=0.0, y=0.0):
-    """Of a vehicle that stands there; what is not visible has rows of zeros, as states_from_msg makes them."""
+    """States of a vehicle at rest there; one that is not visible has a row of zeros, as from states_from_msg."""
     rows = np.zeros((1, len(S)))
     rows[0, :3] = np.array([x, y, 1.0]) * visible
     return States(np.array([visible]), rows)
@@ -89,7 +89,7 @@ def test_a_target_that_stands_is_flown_to_like_any_reference():
 
 
 def test_the_pursuit_begins_where_the_vehicle_is_and_moves_on_with_the_law():
-    """Of a vehicle that never moves the point runs away, until somebody else flies it: then it is with the vehicle."""
+    """The point runs away from a vehicle that never moves, and is back at it once it is not flown autonomously."""
     controller = ControlLoop(guidance.Controller, [ARDRONE])
     controller.controller.target_speed_m_s = SPEED_M_S
     update(controller, states(), standing(y=-0.7))

@@ -1,4 +1,4 @@
-"""risc_control.hover with its pilot: a vehicle that does not fly itself, with a clock that the test turns."""
+"""risc_control.hover with its pilot: a vehicle that does not hover by itself, on a clock that the test advances."""
 
 import math
 
@@ -15,7 +15,7 @@ from risc_lab.lab.vehicle_types import own_numbers
 from risc_lab.radio_sticks import RadioSticks
 
 LOWEST = (0.0, 0.0, -1.0, 0.0)
-ERRORS = [0.88, 1.0, 1.12]  # of the thrust: as far as the virtual lab's vehicles go
+ERRORS = [0.88, 1.0, 1.12]  # factors on the thrust: the range of the virtual lab's vehicles
 
 
 # --- take-off, hover, landing -----------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ def test_it_goes_out_of_the_way():
 
 
 def dips(more):
-    """(m) how far it falls or rises within 1.5 s when a controller takes over, and when it gives back."""
+    """Greatest change of height [m] in 1.5 s after a controller takes over, and after it gives back."""
     desk = flown(more)
     z_m, off_m = desk.iris.position_m[2], []
     desk.run(1.5, lambda: off_m.append(abs(desk.iris.position_m[2] - z_m)))
@@ -142,7 +142,7 @@ def dips(more):
 @pytest.mark.parametrize("more", ERRORS)
 def test_no_jump_when_a_controller_takes_over_or_gives_back(more, monkeypatch):
     assert dips(more) < 0.02
-    if more != 1.0:  # without what was learnt it falls
+    if more != 1.0:  # without the trim that was learnt it falls
         with_none = Desk.take
 
         def take(desk, orders):
@@ -171,7 +171,7 @@ def test_from_motion_it_comes_to_a_stop():
 
 def test_while_the_next_state_may_only_be_late_it_is_level():
     def flown_without(*lost):
-        """(time of the hold, the commands from the last one before it on)."""
+        """(time of the hold, the commands from the last one before the hold on)."""
         desk = flown(more=1.0)
         desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=-0.05)
         desk.run(1.5)
@@ -217,7 +217,7 @@ def test_states_lost_level_and_then_land_mode(autonomous):
 
 
 def drift_of_a_landing_that_is_seen_again_m():
-    """A controller flies it away from where it has taken off, and motion capture fails until it lands."""
+    """Drift [m] of a landing, away from the take-off place, during which motion capture fails and comes back."""
     desk = flown(more=1.0)
     desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=-0.05)
     desk.run(1.5)
@@ -237,7 +237,7 @@ def test_a_landing_that_is_seen_again_ends_there(monkeypatch):
 
 
 def blind_landing(then=1.0):
-    """(desk) states and telemetry are lost: nothing but the radio works. then: its thrust, of what it was."""
+    """Desk after the loss of states and telemetry: only the radio works. then: factor on its thrust since the loss."""
     desk = flown(more=0.9)
     desk.run(2.0)
     desk.alive -= {"state", "telemetry"}
@@ -250,7 +250,7 @@ def test_without_states_and_telemetry_it_comes_down_by_the_model(monkeypatch):
     desk = blind_landing()
     assert desk.iris.stands and desk.iris.impact_m_s < 0.8 and desk.iris.mode == "STABILIZE"
     assert desk.run(5.0, lambda: not desk.iris.armed) and desk.iris.mode == "LAND"  # nothing is sent any more
-    assert desk.pilot.ladder.verdict.operator  # nothing tells that it lands
+    assert desk.pilot.ladder.verdict.operator  # nothing reports that it lands
     monkeypatch.setattr(hover, "DESCENT_M_S", 0.0)
     assert not blind_landing().iris.stands
 
@@ -303,7 +303,7 @@ def test_a_silent_board_lands_it_by_itself(autonomous):
 
 
 def test_commands_that_change_nothing_are_noticed():
-    """The trainer's switch is off: the board sends, and nobody listens."""
+    """The trainer switch is off: the board sends, but without effect."""
     desk = Desk().up()
     desk.run(2.0)
     desk.alive.discard("radio")
@@ -473,7 +473,7 @@ def test_a_new_node_holds_a_vehicle_that_flies():
 @pytest.mark.parametrize("mode", ["LAND", "STABILIZE"])
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_new_node_does_not_say_of_a_vehicle_in_the_air_that_it_stands(mode, seen):
-    """An operator would take the flight for over."""
+    """Otherwise an operator would think that the flight is over."""
     desk = Desk().up()
     desk.run(2.0)
     desk.iris.mode = mode
@@ -514,7 +514,7 @@ def test_the_button_ends_a_take_off_that_is_not_armed_yet():
 
 
 def test_the_charge_moves_the_throttle():
-    """Eq. 5.5 with the charge that the vehicle tells: between 90 and 50 % the throttle differs by 0.2."""
+    """Eq. 5.5 with the charge that the vehicle reports: between 90 and 50 % the throttle differs by 0.2."""
     throttles = []
     for battery_pct in (90.0, 50.0):
         desk = Desk(Iris(battery_pct=battery_pct)).up()

@@ -42,7 +42,7 @@ def test_first_message_can_be_a_press():
 
 
 def test_what_is_down_when_a_node_begins_to_listen_was_pressed_before():
-    """It may have been started again while somebody holds the button."""
+    """It may have been restarted while the button is held."""
     joystick = Joystick(JoystickParams(), listens_since_s=100.0)
     first = joystick.update(buttons(6), axes(), now_s=100.3)
     assert (first.pressed, first.belated) == (frozenset(), {Button.TAKEOFF_LAND})
@@ -146,7 +146,7 @@ def test_a_press_in_a_late_message_counts_neither_then_nor_while_it_is_held():
 
 
 def test_a_press_that_was_over_before_its_message_came_is_late():
-    """A burst that a network held up: nobody holds the button any more when it arrives."""
+    """A burst delayed by the network: the button is no longer held when it arrives."""
     presses = ButtonPresses((3,))
     presses.update(buttons(), 0.0, 0.01)
     burst = [presses.update(values, 5.0, age_s) for values, age_s in ((buttons(3), 4.0), (buttons(), 3.9))]

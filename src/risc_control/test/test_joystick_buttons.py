@@ -22,7 +22,7 @@ class Buttons(ButtonParams):
 
 @pytest.fixture
 def desk(monkeypatch):
-    """ROS as far as the subscriber needs it: what it subscribes to, a clock that the test sets, what is logged."""
+    """The parts of ROS that the subscriber needs: its callback, a clock that the test sets, logged texts."""
 
     class Desk:
         now_s = 1000.0
@@ -60,7 +60,7 @@ def test_a_press_counts_while_the_callback_is_busy_with_the_one_before(desk):
     desk.send(5)
     assert busy.wait(TIMEOUT_S)
     desk.send()
-    desk.send(4, 5)  # returns although the callback has not: nothing waits for it in the socket
+    desk.send(4, 5)  # returns while the callback is still busy: no message waits in the socket
     done.set()
     assert both.wait(TIMEOUT_S)
     assert seen == [{5}, {4, 5}]

@@ -1,4 +1,4 @@
-"""Delay compensation of a fleet: where vehicles are a command's delay later, against motion that is integrated."""
+"""Delay compensation of a fleet: states one command delay later, compared to integrated motion."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S, States
 
-ARDRONE = replace(load_vehicle_type("ardrone"), drag_n_s_m=0.0)  # which is predicted as it is at first
+ARDRONE = replace(load_vehicle_type("ardrone"), drag_n_s_m=0.0)  # the prediction keeps the initial drag
 LATER = replace(ARDRONE, command_delay_s=0.3)
 TYPES = [ARDRONE, LATER]
 STAMP_S = 10.0
@@ -21,7 +21,7 @@ PERIOD_S = 1.0 / ARDRONE.command_rate_hz
 
 
 def behind_s(kind):
-    """From a command to its effect, on average: it waits for the vehicle's next turn."""
+    """Mean time [s] from a command to its effect: it waits for the next send to the vehicle."""
     return kind.command_delay_s + 0.5 * PERIOD_S
 
 
@@ -34,9 +34,9 @@ def states(visible=(True, True)):
 
 
 def filled(compensator, i=None, until_s=STAMP_S):
-    """Commands up to a time, of all vehicles or of one; what they are, as a function of time.
+    """Fill in commands up to a time, of all vehicles or of one; return them as a function of time.
 
-    They come into force at grid points of the prediction.
+    They take effect at grid points of the prediction.
     """
     rng = np.random.default_rng(2)
     times_s = np.arange(STAMP_S - behind_s(ARDRONE) - 200 * STEP_S, until_s, 7 * STEP_S)
@@ -67,7 +67,7 @@ def integrated(x, kind, horizon_s, command_at):
 
 
 def test_a_vehicle_is_where_its_commands_take_it():
-    """Commands up to now; age of the states 10 ms; from now on the last command is taken to hold."""
+    """Commands up to now; age of the states 10 ms; from now on the last command is assumed to hold."""
     compensator, age_s = LagCompensator(TYPES), 0.01
     command_at, given = filled(compensator, until_s=STAMP_S + age_s), states()
     found = compensator.ahead(STAMP_S, STAMP_S + age_s, given)

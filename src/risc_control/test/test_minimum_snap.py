@@ -1,4 +1,4 @@
-"""Minimum-snap paths: through their points, continuous to the sixth derivative, with no less snap to be had."""
+"""Minimum-snap paths: through their points, continuous to the sixth derivative, with the least possible snap."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from risc_control.minimum_snap import best_durations, greatest_speed, pieces, re
 
 @st.composite
 def ways(draw):
-    """(points (n, 3), durations, closed), neighbours apart."""
+    """(points (n, 3), durations, closed); neighbouring points are distinct."""
     closed, n = draw(st.booleans()), draw(st.integers(2, 7))
     points = draw(arrays(float, (n, 3), elements=st.floats(-3.0, 3.0))) + 10.0 * np.arange(n)[:, None]
     durations = draw(arrays(float, n if closed else n - 1, elements=st.floats(0.3, 5.0)))
@@ -21,14 +21,14 @@ def ways(draw):
 
 
 def ends(coefficients, durations, order):
-    """(m, c) derivatives at the begins of pieces, and at their ends."""
+    """(m, c) derivatives at the beginnings of pieces, and at their ends."""
     slopes = [polyder(piece, order) if order else piece for piece in coefficients]
     scales = np.asarray(durations)[:, None] ** order
     return tuple(np.array([polyval(u, slope) for slope in slopes]) / scales for u in (0.0, 1.0))
 
 
 def snap(coefficients, durations):
-    """Integral of its square, by Gauss' rule, which is exact."""
+    """Integral of the squared snap, by Gauss' rule, which is exact here."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     total = 0.0
     for piece, duration in zip(coefficients, durations):

@@ -40,7 +40,7 @@ def test_uncompiled_it_is_the_same(tmp_path):
 
 
 def whole_flight():
-    """(k, 5, 2, 4) references of two vehicles to a course, to another one meanwhile, and home."""
+    """(k, 5, 2, 4) references of two vehicles: to a course, to another one on the way, and home."""
     manager = TrajectoryManager(("a", "b"), (Home((1, 0, 1), 0.0), Home((-1, 0, 1), 2.0)), make_course("quadrants", 2))
     for name, x in (("a", -0.5), ("b", 0.5)):
         manager.see(name, (x, 0.1, 0.9), (0.1, 0.0, 0.0), 1.0)

@@ -1,4 +1,4 @@
-"""What fails for one vehicle of a fleet, in the nodes, fails for no other one. Without a graph."""
+"""A failure of one vehicle of a fleet, in the nodes, affects no other vehicle. Without a ROS graph."""
 
 import io
 import threading
@@ -24,7 +24,7 @@ NOW_S = 1000.0
 
 
 class Student(controllers.Controller):
-    """Divides by how far a vehicle is from its reference: 0/0 where it is there."""
+    """Divides by the distance of a vehicle from its reference: 0/0 on the reference."""
 
     WRONG = None  # raised by every step
 
@@ -38,7 +38,7 @@ class Student(controllers.Controller):
 
 @pytest.fixture
 def desk(monkeypatch):
-    """What is logged, what is subscribed to and what is published."""
+    """Logged texts, {topic: callback} of the subscriptions, {topic: messages} that were published."""
     found = SimpleNamespace(logs=[], callbacks={}, published={})
 
     def subscriber(topic, kind, callback, **_options):
@@ -82,7 +82,7 @@ def node(desk, monkeypatch):
 
 
 def sent(desk, topic, message, stamp_s=NOW_S):
-    """A message arrives on a topic, as its bytes."""
+    """Deliver a message on a topic, as its bytes."""
     wire = io.BytesIO()
     message.header.stamp = rospy.Time.from_sec(stamp_s)
     message.serialize(wire)
@@ -96,7 +96,7 @@ def commanded(desk):
 
 
 def fly(desk, places_m=(0.0, 0.0, 0.0), references_m=(1.0, 1.0, 1.0), stamp_s=NOW_S):
-    """A reference and a state of each vehicle."""
+    """Send a reference and a state of each vehicle."""
     wanted = [Trajectory(name=name, x=x) for name, x in zip(NAMES, references_m)]
     sent(desk, "/trajectory", Trajectories(Obj=wanted), stamp_s)
     seen = [States(name=name, visible=True, x=x) for name, x in zip(NAMES, places_m)]
@@ -149,7 +149,7 @@ def test_states_that_the_compensation_cannot_take_are_told_once(desk, monkeypatc
 
 
 class _Pilot:
-    """Notes what it is told, and whether the lock was held."""
+    """Records its calls, and whether the lock was held."""
 
     autonomous = True
 
@@ -162,7 +162,7 @@ class _Pilot:
 
 @pytest.fixture
 def vehicle(desk):
-    """A vehicle of the vehicle node, with a pilot of the test's."""
+    """A vehicle of the vehicle node, with the test's pilot."""
     one = vehicle_node._Vehicle.__new__(vehicle_node._Vehicle)
     one.name, one._lock, one._error_land_s, one.landings = "fluffy_II", threading.Lock(), 0.0, []
     one._counts = dict.fromkeys(("states", "states while not visible", "suspect states", "errors"), 0)

@@ -1,4 +1,4 @@
-"""Numbers of a controller that a vehicle, or a type of vehicle, has for itself."""
+"""Controller parameters of a single vehicle, or of a type of vehicle."""
 
 import shutil
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ WEAK = {"q_position": 20.0, "error_max_m": 0.2}
 
 
 def fleet(*entries):
-    """Its vehicles: one for each (type, its `controllers`)."""
+    """Vehicles of a fleet file: one for each (type, its `controllers`)."""
     place = {"start": {"position_m": [0, 0, 0]}}
     vehicles = [
         {"namespace": "risc%d" % k, "template": "T%d" % k, "address": "127.0.0.%d" % k, "type": kind, **place}
@@ -33,7 +33,7 @@ def fleet(*entries):
 
 @pytest.fixture
 def heavy(monkeypatch, tmp_path):
-    """The folder of a vehicle type with numbers of its own."""
+    """The folder of a vehicle type with controller parameters of its own."""
     folder = tmp_path / "vehicle_types"
     folder.mkdir()
     shutil.copy(vehicle_type_file("ardrone"), folder / "heavy.yaml")
@@ -45,7 +45,7 @@ def heavy(monkeypatch, tmp_path):
 
 
 def flown(name, own, frames=40):
-    """(frames, 4, n) /controls of vehicles beside their references."""
+    """(frames, 4, n) /controls of vehicles that are off their references."""
     n = len(own)
     loop = ControlLoop(name, [load_vehicle_type("ardrone")] * n, own=own)
     everyone, rng, answers = np.ones(n, dtype=bool), np.random.default_rng(1), []

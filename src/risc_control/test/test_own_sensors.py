@@ -1,6 +1,6 @@
-"""An IRIS+ that is not seen any more: what it learnt before, and what it says of tilt and height, keep it in its place.
+"""An IRIS+ that is no longer seen keeps its place by what was learnt before and by its reports of tilt and height.
 
-A simulated vehicle with its node, on a clock that the test turns: perturbed plants, noise, reports that are late.
+A simulated vehicle with its node, on a clock that the test advances: perturbed plants, noise, reports that are late.
 """
 
 import math
@@ -14,7 +14,7 @@ SEEDS = range(6)
 
 
 def drift_m(seed, happens, reports, params):
-    """(level, up or down): how far a vehicle goes within 2 s after its loss from a circle."""
+    """(horizontal, vertical) drift [m] of a vehicle within 2 s after its loss on a circle."""
     rng = np.random.default_rng(1000 + seed)
     thrust, delay, bandwidth, roll, pitch, late = np.clip(rng.standard_normal(6), -2.0, 2.0).tolist()
     iris = Iris(
@@ -40,9 +40,9 @@ def drift_m(seed, happens, reports, params):
 
 
 def drifts_m(happens=lambda desk: None, reports=True, **params):
-    """((n,) level, (n,) up or down) of a vehicle for each seed.
+    """((n,) horizontal, (n,) vertical) drift [m] of a vehicle for each seed.
 
-    happens: to each at its loss.  reports: False, it says nothing of its tilt and height.
+    happens: called with the desk at the loss.  reports: False: no reports of tilt and height.
     """
     return np.array([drift_m(seed, happens, reports, params) for seed in SEEDS]).T
 

@@ -19,7 +19,7 @@ NOISE_M, NOISE_M_S, NOISE_RAD = 0.001, 0.01, 0.003
 
 
 class Fleet:
-    """Vehicles that fly ahead at 0.5 m/s, 1 m beside each other, seen with noise; `lie` changes what is seen."""
+    """Vehicles that fly ahead at 0.5 m/s, side by side 1 m apart, seen with noise; `lie` changes what is seen."""
 
     def __init__(self, count=2, limits=LIMITS, kind="ardrone", step_s=LOOK_S):
         self.names = tuple("v%d" % k for k in range(count))
@@ -167,7 +167,7 @@ def test_after_a_gap_the_first_state_is_believed(gap_s):
 
 @pytest.mark.parametrize(("tilt_deg", "believed"), [(60.0, True), (80.0, False)])
 def test_none_is_seen_at_a_tilt_that_none_can_fly_however_long_it_was_not_seen(tilt_deg, believed):
-    """A pose with y for z, which an estimator believes when nothing speaks against it any more."""
+    """A pose with y and z swapped, which an estimator accepts once it has nothing to compare it to."""
     fleet = Fleet(kind="iris")
     fleet.time_s += 2.0
 
@@ -198,7 +198,7 @@ BELIEVED, SUSPECT, NOT_JUDGED = True, False, None
 
 
 def looks(judge, *stamped):
-    """What is said of one vehicle at each of (stamp [s], x [m]), of which it is seen there, hovering."""
+    """Verdicts on one vehicle that is seen hovering at each (stamp [s], x [m])."""
     state, verdicts = np.zeros((1, len(S))), []
     for stamp_s, x_m in stamped:
         state[0, S.X] = x_m

@@ -24,7 +24,7 @@ def waiting():
 
 
 def let_go(target, now_s):
-    """Let the target go. Returns the time when it runs."""
+    """Let the target go. Return the time at which it starts."""
     assert target.let_go(now_s)
     target.sample(now_s)
     return now_s + _LEAD_S
@@ -81,7 +81,7 @@ def test_a_press_that_comes_while_it_runs_or_at_home_lets_nothing_go_later():
 
 
 def test_its_speed_is_told_before_it_runs_and_after_it_stopped():
-    """Else a controller that hears of the reference first would fly to the target instead of behind it."""
+    """Otherwise a controller that gets the reference first would fly to the target instead of behind it."""
     target, now_s = waiting()
     assert target.let_go(now_s)
     reference = target.sample(now_s).derivatives

@@ -1,4 +1,4 @@
-"""risc_control.separation: who is too near to whom, with fleets that the test puts somewhere."""
+"""risc_control.separation: which vehicles are too near to each other, with fleets placed by the test."""
 
 import dataclasses
 import math
@@ -19,8 +19,8 @@ IRIS_M = load_vehicle_type("iris").wider_m
 
 
 class Sky:
-    """Vehicles at places with velocities; all are seen and looked at every 20 ms, by a node for all of `own`, and by a
-    node for each.
+    """Vehicles at places with velocities; all are seen and checked every 20 ms, by one node for all of `own`, and by
+    one node for each.
     """
 
     def __init__(self, places, own=None, limits=LIMITS, fleet=None, wider_m=None):
@@ -36,7 +36,7 @@ class Sky:
         self.separations = [Separation(names, limits, fleet, wider_m) for names in (own, *((name,) for name in own))]
 
     def look(self, duration_s=0.02):
-        """{name: Look} after so long."""
+        """{name: Look} after duration_s."""
         for _ in range(round(duration_s / 0.02)):
             self.now_s += 0.02
             names, states = tuple(self.order), np.zeros((len(self.order), len(S)))
@@ -86,7 +86,7 @@ def test_the_limit(distance_m, is_near):
 
 @pytest.mark.parametrize("turn_rad", [0.0, 1.0, 2.0, 4.0])
 def test_who_will_be_too_near_before_it_can_stop_is_near(turn_rad):
-    """By the velocities of both, and not when they leave each other or pass each other far enough."""
+    """By the velocities of both; not if they move apart, or pass each other at a sufficient distance."""
     along = np.array([math.cos(turn_rad), math.sin(turn_rad), 0.0])
     across = np.array([-along[1], along[0], 0.0])
     far_m = NEAR_M + LIMITS.separation_lookahead_s * 0.6
@@ -169,14 +169,14 @@ def test_wide_ones_hold_at_the_same_gap_between_hulls(wide):
     assert not near(pair(NEAR_M + more_m + 0.01, wider_m=wider_m).look())
     looks = pair(NEAR_M + more_m - 0.01, wider_m=wider_m).look()
     assert near(looks) == set(NAMES[:2]) and "%.2f m from" % (NEAR_M + more_m - 0.01) in looks["albatross"].reason
-    # the control arm: as AR.Drones they do not, where they touch already
+    # the control arm: taken for AR.Drones they do not hold, although they touch already
     assert not near(pair(NEAR_M + 0.09).look()) and NEAR_M + 0.09 < 0.65
 
 
 @pytest.mark.parametrize("wide", WIDE)
 @pytest.mark.parametrize("follow", [False, True])
 def test_wide_ones_are_told_as_early(wide, follow):
-    """By what they have to stop, whether they follow their references or not."""
+    """With the same time to stop, whether they follow their references or not."""
     wider_m, more_m = irises(wide)
     ahead_s = LIMITS.separation_follow_s if follow else LIMITS.separation_lookahead_s
     for spare_m in (-0.02, 0.02):
@@ -234,7 +234,7 @@ def test_one_that_has_left_its_course_is_given_more_room():
 
 
 def test_one_that_is_about_to_leave_its_course_has_left_it():
-    """It stands, and its reference flies on: it is known before the distance is."""
+    """It stands, and its reference flies on: this is noticed before the limit of the distance is reached."""
     sky = pair(STRAY_M - 0.05)
     sky.references = {name: sky.places[name] for name in NAMES[:2]}
     sky.look()
@@ -284,7 +284,7 @@ def test_the_neighbours_of_one_that_holds_hold_and_theirs():
 
 
 def test_two_that_follow_their_references_are_judged_by_these():
-    """They fly towards each other, and their references turn away in time. Others hold."""
+    """They fly towards each other, and their references turn away in time. Without such references they hold."""
     sky = pair(1.3)
     sky.velocities = sky.speeds = {"fluffy_II": (0.5, 0.0, 0.0), "albatross": (-0.5, 0.0, 0.0)}
     sky.turns = {"fluffy_II": (-0.8, 0.0, 0.0), "albatross": (0.8, 0.0, 0.0)}
@@ -366,7 +366,7 @@ def test_at_equal_heights_the_order_of_the_fleet_decides():
 
 
 def test_nobody_gives_way_while_holding_is_enough():
-    """Two that approach each other stop in time when both hold; of one that does not hold, the other gives way."""
+    """Two that approach each other stop in time when both hold; if one does not hold, the other gives way."""
     sky = pair(NEAR_M + LIMITS.separation_lookahead_s * 0.8 - 0.02)
     sky.velocities = {"fluffy_II": (0.4, 0.0, 0.0), "albatross": (-0.4, 0.0, 0.0)}
     looks = sky.look()
@@ -457,7 +457,7 @@ def test_the_order_of_the_entries_changes_nothing(seed):
 
 
 def test_pairs_are_as_good_as_written_out():
-    """The compiled loops against numpy: all pairs, in positions and velocities of chance."""
+    """The compiled loops against numpy: all pairs, with random positions and velocities."""
     rng = np.random.default_rng(5)
     t = np.linspace(0.0, LIMITS.separation_lookahead_s, 2001)
     for _ in range(100):

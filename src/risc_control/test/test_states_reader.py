@@ -1,4 +1,4 @@
-"""`StatesReader`: /cortex_raw as arrays, through messages that are torn."""
+"""`StatesReader`: /cortex_raw as arrays, also after truncated messages."""
 
 import io
 

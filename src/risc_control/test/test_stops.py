@@ -1,4 +1,4 @@
-"""An IRIS+ that has to hold stops as soon as the fence counts on: on perturbed plants, on a clock that tests turn."""
+"""An IRIS+ that has to hold stops as soon as the fence assumes: perturbed plants, on a clock that tests advance."""
 
 import math
 

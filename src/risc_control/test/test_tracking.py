@@ -212,7 +212,7 @@ def test_integral_rests_while_the_command_is_cut():
     ],
 )
 def test_what_was_learnt_is_taken_out_of_the_command(axis, field, value, command, change):
-    """The first command after it, before anything of it is seen: its direction, and about how much."""
+    """The change of the first command after learning, before its effect is seen: its sign and rough size."""
 
     def commanded(value):
         controller = flatness([replace(ARDRONE, command_delay_s=0.0)])
@@ -232,7 +232,7 @@ def test_what_was_learnt_is_taken_out_of_the_command(axis, field, value, command
 
 
 def test_what_was_learnt_is_forgotten_where_it_may_not_hold():
-    """When somebody else flies it, low over the floor, and by `reset`. A push is not a trim: the pilot keeps it."""
+    """In manual flight, low over the floor, and by `reset`. A push is not a trim: in manual flight it is kept."""
 
     def learnt(controller):
         o = controller.controller._observed[0]
@@ -286,7 +286,7 @@ def test_wrong_settings_say_why(make, message):
 
 
 class NominalVehicles:
-    """Exactly what the controller believes in: linear loops, thrust along the body, drag, a delay. No radio slots."""
+    """Exactly the model of the controller: linear loops, thrust along the body, drag, a delay. No radio slots."""
 
     def __init__(self, n, position, psi):
         self.units = adapter_class(ARDRONE).units(ARDRONE)

@@ -14,7 +14,7 @@ from risc_control.vehicles.iris import OTHER_US, TrainerSwitch, hover_throttle
 
 
 def channels_of(sticks):
-    """What the board makes of them."""
+    """Channels [us] that the board sends for these sticks."""
     fractions = -sticks.left, -sticks.forward, sticks.up, -sticks.turn_left
     return [1500 + round(500.0 * fraction) for fraction in fractions]
 
@@ -43,7 +43,7 @@ OURS, THEIRS = constant(1500, 1500, 1400, 1500), constant(1500, 1500, 1400 + OTH
 
 
 def figure(late_s, size_us=140.0):
-    """A circle flown fast, received so late."""
+    """Channels of a circle flown fast, delayed by late_s."""
     return lambda now_s: [
         *(1500 + round(size_us * math.sin(2.5 * (now_s - late_s) + phase)) for phase in (0.0, 1.6)),
         *(1400 + round(40.0 * math.sin(1.1 * (now_s - late_s))), 1500),
@@ -102,7 +102,7 @@ def test_a_short_difference_is_none():
 
 
 def test_what_was_held_up_is_not_different():
-    """A driver stood still for two seconds, and all that it should have told comes at once."""
+    """A driver stalled for two seconds, and all of its delayed reports come at once."""
     told = Told()
     now, soon = figure(0.0, 350.0), figure(0.1, 350.0)
     told.run(3.0, now, soon)
@@ -120,7 +120,7 @@ def test_what_was_held_up_is_not_different():
 
 
 class Piloted(Iris):
-    """One that says what it receives. pilot: function that gives the sticks of who has let go of the trainer switch."""
+    """An IRIS+ that reports what it receives. pilot: gives the pilot's sticks while the trainer switch is released."""
 
     def __init__(self, **values):
         super().__init__(**values)
@@ -154,7 +154,7 @@ def hovering(vehicle, climb_m_s=0.0):
 
 
 def taken(**values):
-    """In autonomous mode, and then taken over by its pilot, who lets it drift off."""
+    """Desk in autonomous mode, then taken over by the vehicle's pilot, who lets it drift off."""
     desk = Desk(Piloted(**values)).up()
     desk.run(4.0)
     desk.fly = level_at(desk.iris.position_m[2])
@@ -173,7 +173,7 @@ def test_its_pilot_takes_over_and_nobody_fights(monkeypatch):
     assert desk.pilot.flight_state == FlightState.PILOT and "transmitter" in said(desk)
     orders = dict(desk.counts)
     desk.iris.pilot = hovering
-    desk.fly = None  # nor does what is silent now land it
+    desk.fly = None  # nor does this silence land it
     desk.alive.discard("state")
     desk.run(5.0)
     desk.alive.add("state")
@@ -189,7 +189,7 @@ def test_its_pilot_takes_over_and_nobody_fights(monkeypatch):
     desk.run(1.5)
     desk.iris.pilot, desk.fly = hovering, None
     desk.run(5.0)
-    assert desk.counts != orders and desk.iris.mode == "LAND"  # as it was without the switch
+    assert desk.counts != orders and desk.iris.mode == "LAND"  # as without detection of the switch
 
 
 def given_back():
@@ -207,7 +207,7 @@ def test_given_back_it_stays_where_it_is_and_the_button_takes_it(monkeypatch):
     place_m = list(desk.iris.position_m)
     assert place_m[2] > 1.3 and not desk.iris.switch.is_off
     desk.run(3.0)
-    assert desk.pilot.flight_state == FlightState.PILOT  # it may be that his sticks are as ours
+    assert desk.pilot.flight_state == FlightState.PILOT  # the pilot's sticks may happen to equal ours
     assert math.dist(desk.iris.position_m, place_m) < 0.15
     assert desk.press(TOGGLE).mode is None and desk.pilot.flight_state == FlightState.HOVERING
     desk.run(3.0)

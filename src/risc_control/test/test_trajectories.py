@@ -192,7 +192,7 @@ def test_many_wide_vehicles_are_kept_farther_apart_or_refused(name):
 
 
 def test_a_path_of_ones_own_is_a_function_of_the_phase(monkeypatch):
-    """Of any smooth shape: it is flown by any number, and all its derivatives are known."""
+    """Of any smooth shape: any number of vehicles can fly it, and all its derivatives are known."""
 
     def clover(vehicles, size_m=1.2):
         def path(a):
@@ -330,7 +330,7 @@ def test_blend_derivatives_are_central_differences():
 
 
 def test_blend_stays_between_its_motions():
-    """What a polynomial between two states of motion does not do: it may swing out of the net."""
+    """A polynomial between two states of motion does not: it may swing out of the net."""
     start, end = course_motion("flat8", 0), course_motion("slanted8", 1)
     times = np.linspace(5.0, 8.0, 200)
     path, first, last = (motion.at(times)[0, :, :3] for motion in (blend(start, end, 5.0, 3.0), start, end))

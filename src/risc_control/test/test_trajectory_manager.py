@@ -42,7 +42,7 @@ def record(manager, begin_s, end_s, step_s=0.02):
 
 
 def assert_smooth(times, derivatives):
-    """Every derivative is that of the one before, through all changes of phase: continuous to snap."""
+    """Each row is the derivative of the row before, through all changes of phase: continuous to snap."""
     step_s = times[1] - times[0]
     middle = 0.5 * (derivatives[1:] + derivatives[:-1])
     # The fifth derivative of a least-snap step jumps at its ends, by up to 40 m/s^5 for ways of 1.5 m in 4 s: the
@@ -87,7 +87,7 @@ def test_from_hover_to_the_course_and_home(course):
 
 
 def test_a_vehicle_that_is_seen_while_it_flies_its_way_flies_it_unchanged():
-    """States come as long as another vehicle is flown by hand."""
+    """States keep coming while another vehicle is flown by hand."""
     seen, unseen = flying_manager(vehicles=1), flying_manager(vehicles=1)
     for now_s in np.arange(10.5, 20.0, 0.1):
         assert (seen.sample(now_s).derivatives == unseen.sample(now_s).derivatives).all()
@@ -251,7 +251,7 @@ LEAD_S = 0.5
 
 
 def fly_with_a_planner(manager, begin_s, end_s, takes_s, events=()):
-    """As `record`, by a planner that takes so long. events: (time, what happens)."""
+    """As `record`, with a planner that takes takes_s. events: (time, function of the time)."""
     rows, phases, events = [], [], list(events)
     task, ready_s = None, np.inf
     times = np.arange(begin_s, end_s, 0.02)
@@ -281,7 +281,7 @@ def all_of_it(manager):
 
 
 def test_planned_in_another_thread_the_references_are_the_same():
-    """Only that somebody else planned them: a manager that plans at once, for the same times, has them bit for bit."""
+    """A manager that plans at once, for the same times, gives the same references bit for bit."""
     planned, at_once = flying_manager("flat8", lead_s=LEAD_S), flying_manager("flat8", lead_s=LEAD_S)
     at_once._inline = True
     times, references, phases = fly_with_a_planner(planned, 10.0, 95.0, 0.3, all_of_it(planned))
@@ -304,7 +304,7 @@ def test_until_their_ways_begin_they_go_on_as_before():
 
 
 def test_sampling_never_waits_for_the_planner():
-    """Nor does anything else that happens: the planner is a thread that hangs."""
+    """The lock stays free, too: the planner is a thread that hangs."""
     manager, lock, goes_on = flying_manager(lead_s=LEAD_S), threading.Lock(), threading.Event()
     manager.sample(10.4)
     task = manager.task
@@ -328,7 +328,7 @@ def test_sampling_never_waits_for_the_planner():
 
 
 def test_who_changes_his_mind_meanwhile_is_planned_anew():
-    """Whatever happens changes the task, and the plan of the old one is not accepted."""
+    """Any of these changes makes a new task, and the plan of the old one is not accepted."""
     changes = {
         "left": lambda manager: manager.set_autonomous("Raven", False, 10.5),
         "home": lambda manager: manager.go_home(10.5),
@@ -340,7 +340,7 @@ def test_who_changes_his_mind_meanwhile_is_planned_anew():
         task = manager.task
         plan = plan_ways(task)
         change(manager)
-        if name == "course":  # they hold, so the new course is that of those who are about to join
+        if name == "course":  # they hold, so the new course is for those that are about to join
             assert manager.task.course.name == "origin"
         assert not manager.accept(task, plan, 10.55)
         if name == "left":

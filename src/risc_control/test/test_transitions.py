@@ -33,7 +33,7 @@ def circles(vehicles):
 
 
 def one_circle(vehicles):
-    """One circle for all, as large as it takes, as fast as the small one."""
+    """One circle for all, as large as needed, at the speed of the small one."""
     radius_m = max(0.8, 0.45 / math.sin(math.pi / vehicles)) if vehicles > 1 else 0.8
     return make_course("circle", vehicles, radius_m=radius_m, period_s=10.0 * radius_m)
 
@@ -54,7 +54,7 @@ def all_autonomous(manager, now_s):
 
 
 def flown(manager, begin_s, end_s):
-    """(k, 5, n, 4) references until then."""
+    """(k, 5, n, 4) references from begin_s to end_s."""
     return np.array([manager.sample(time_s).derivatives for time_s in np.arange(begin_s, end_s, STEP_S)])
 
 
@@ -101,7 +101,7 @@ def test_who_joins_alone_keeps_clear_of_the_others(course):
     """From a place between or beside their paths; on `origin` only a way over them is clear."""
     flying = make_course(course, 3)
     taken = flying.over_period(int(10 * flying.period_s))[:, 0, :, :3]
-    # far from all three paths, whoever is the one that joins
+    # far from all three paths, whichever vehicle joins
     candidates = [np.array([x, y, 1.0]) for x in np.arange(-2.0, 2.1, 0.25) for y in np.arange(-1.5, 1.6, 0.25)]
     clear_m = [np.linalg.norm(taken - place, axis=2).min() for place in candidates]
     place = candidates[int(np.argmax(np.array(clear_m) * (np.array(clear_m) < 1.0)))]
@@ -166,7 +166,7 @@ def test_the_same_task_gives_the_same_plan():
 
 
 def test_what_it_takes_grows_gently(monkeypatch):
-    """Tables are of options and of vehicles, never of both; pairs are looked at, never assignments."""
+    """Tables grow with the options or with the vehicles, never with both; pairs are searched, never assignments."""
     sizes, calls = {}, {}
     original = transitions._lacking
 
@@ -183,7 +183,7 @@ def test_what_it_takes_grows_gently(monkeypatch):
 
 
 def test_nothing_is_compiled_in_flight():
-    """All that flies has been compiled for the types it is called with once a manager has been made."""
+    """Once a manager exists, everything called in flight has been compiled for its argument types."""
     compiled = [
         f for module in (motions, trajectories, transitions) for f in vars(module).values() if hasattr(f, "signatures")
     ]

@@ -28,7 +28,7 @@ from risc_lab.lab import load_vehicle_type
 
 ARDRONE, IRIS = load_vehicle_type("ardrone"), load_vehicle_type("iris")
 HOVER_N = ARDRONE.mass_kg * G
-NOTHING = CommandHistory(1).vehicles[0]  # sent
+NOTHING = CommandHistory(1).vehicles[0]  # nothing was sent
 
 
 def converted(roll=0.0, pitch=0.0, yaw_rate=0.0, thrust=4.4, vehicle_type=ARDRONE, known=True):
@@ -182,7 +182,7 @@ def test_sticks_are_past_the_autopilots_dead_zone(fraction):
 
 
 def test_the_board_follows_at_once_what_an_iris_is_sent():
-    """What changes faster is late or refused, and whoever predicts the vehicle by its commands does not know."""
+    """Faster changes come late or are refused, and a prediction from the commands would not know of it."""
     text = (pathlib.Path(__file__).resolve().parents[3] / "firmware/dueppm/configuration.h").read_text(encoding="utf-8")
     jump, slew_us_s, travel_us = (
         float(re.search(r"%s = ([\d.]+);" % name, text)[1]) for name in ("kJump", "kSlewUsPerS", "kRollTravelUs")
@@ -202,7 +202,7 @@ def test_the_board_follows_at_once_what_an_iris_is_sent():
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.4])
 def test_what_an_iris_settles_at_is_the_acceleration_that_was_asked_for(tilt_rad):
-    """The same as the controller counts on, tilted or not: its climb loop, and the thrust for it."""
+    """As the controller assumes, tilted or not: its climb loop, and the thrust for it."""
     own = OWN._replace(theta_rad=tilt_rad, velocity_m_s=(0.0, 0.0, 0.4))
     loop = climb_loops([IRIS])[0]
     wanted = 0.7  # [m/s^2]

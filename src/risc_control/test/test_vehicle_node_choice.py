@@ -39,7 +39,7 @@ def test_names_that_cannot_be_meant(names):
 
 
 def one(wanted, namespace, fleet):
-    """(mocap template, type) of the only one."""
+    """(mocap template, type) of the only vehicle."""
     ((vehicle, _, is_alone),) = _chosen({"vehicle": wanted}, namespace, fleet)
     assert is_alone
     return vehicle.template, vehicle.type

@@ -1,4 +1,4 @@
-"""risc_control.vehicle_pilot: what the vehicle node decides, with a clock that the test turns."""
+"""risc_control.vehicle_pilot: what the vehicle node decides, on a clock that the test advances."""
 
 import math
 from types import SimpleNamespace
@@ -55,7 +55,7 @@ class Desk(JoystickDesk):
         return orders
 
     def run(self, duration_s):
-        """Go on; returns the commands that were sent meanwhile as [(time, Sticks, stamp)]."""
+        """Run for duration_s; return the commands sent meanwhile as [(time, Sticks, stamp)]."""
         first = len(self.orders)
         for _ in range(round(duration_s / 0.005)):
             self.now_s += 0.005
@@ -75,7 +75,7 @@ class Desk(JoystickDesk):
         return [(t, *orders.command[:2]) for t, orders in self.orders[first:] if orders.command is not None]
 
     def fly(self, autonomous=False):
-        """Be in the air."""
+        """Bring the vehicle into the air."""
         self.flight_state = FlightState.FLYING
         self.run(0.2)
         if autonomous:
@@ -162,7 +162,7 @@ def test_preflight_checks_let_take_off_what_is_ready():
     desk = Desk(preflight=True)
     desk.pilot._nearest = lambda: (0.6, "albatross")
     assert desk.press(TAKEOFF_LAND).takeoff
-    for markers in ([(3, 4), (4, 4), (3, 4)], []):  # one was hidden for a moment; nobody tells
+    for markers in ([(3, 4), (4, 4), (3, 4)], []):  # one was hidden for a moment; no counts came
         desk = Desk(preflight=True)
         for counted in markers:
             desk.pilot.on_markers(*counted)
@@ -172,7 +172,7 @@ def test_preflight_checks_let_take_off_what_is_ready():
     assert desk.press(TAKEOFF_LAND).takeoff
     desk = Desk(preflight=True)
     desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0), ARDRONE, desk.now_s)
-    desk.alive.discard("controls")  # nobody was heard: it is flown by hand
+    desk.alive.discard("controls")  # no controller was heard: it is flown by hand
     desk.run(0.5)
     assert desk.press(TAKEOFF_LAND).takeoff
     desk = Desk(preflight=True)
@@ -184,7 +184,7 @@ def test_preflight_checks_let_take_off_what_is_ready():
 
 @pytest.mark.parametrize("limit_s", [1.0, 0.0])
 def test_no_take_off_while_a_joystick_is_lost(limit_s):
-    """The person's, with the emergency stop: the virtual operator is there still. Without the limit it takes off."""
+    """The person's, with the emergency stop; the virtual operator's is still there. Without the limit it takes off."""
     desk = Desk(joystick_timeout=limit_s)
     for sender in ("/joy_node", "/operator", "/joy_node"):
         desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, sender=sender)
@@ -221,7 +221,7 @@ def test_without_navdata_the_button_lands():
 
 @pytest.mark.parametrize("looks", [True, False])
 def test_no_take_off_when_the_last_word_of_one_that_stands_is_old(looks, monkeypatch):
-    """Without a look at the age of what it said it takes off."""
+    """If the age of its last report is not checked, it takes off."""
     desk = Desk()
     desk.alive.remove("navdata")
     desk.run(1.1)
@@ -242,7 +242,7 @@ def test_a_landing_of_one_that_is_silent_in_the_air_is_no_refusal():
 
 @pytest.mark.parametrize("limit_s", [1.0, 0.4, 0.0])
 def test_an_old_report_of_landed_does_not_take_off_again(limit_s):
-    """Take-off was pressed, then the vehicle falls silent while its last word is "landed"."""
+    """Take-off was pressed, then the vehicle falls silent; its last report is "landed"."""
     desk = Desk(navdata_timeout_s=limit_s)
     assert desk.press(TAKEOFF_LAND).takeoff
     desk.alive.remove("navdata")
@@ -271,7 +271,7 @@ def test_landed_counts_again_some_time_after_a_takeoff_without_effect():
 
 
 def test_a_press_that_was_held_up_is_not_obeyed():
-    """It was to land the vehicle, which its ladder has landed meanwhile: now it would be a take-off."""
+    """It was meant to land the vehicle, which its ladder has landed meanwhile: now it would be a take-off."""
     desk = Desk()
     buttons = [1 if k == TAKEOFF_LAND else 0 for k in range(11)]
     for age_s in (10.0, 9.95, 0.31):
@@ -523,7 +523,7 @@ def test_autonomous_mode_is_refused_on_old_data():
 
 @pytest.mark.parametrize("state", list(FlightState))
 def test_autonomous_mode_only_when_commands_go_out(state):
-    """References leave with the switch; a vehicle that takes no commands yet would be left behind."""
+    """References start to move with the switch; a vehicle that takes no commands yet would be left behind."""
     desk = Desk()
     desk.flight_state = state
     desk.run(0.1)
@@ -662,7 +662,7 @@ def test_slots_keep_the_average_rate():
 
 
 def _believe_all_commands(monkeypatch):
-    """Nobody looks whether a command is of numbers."""
+    """Disable the check that a command is finite."""
 
     def hear(pilot, own, age_s, now_s):
         pilot.ladder.controls.note(age_s, now_s)
@@ -674,7 +674,7 @@ def _believe_all_commands(monkeypatch):
 @pytest.mark.parametrize("looks", [True, False])
 @pytest.mark.parametrize("what", Controls._fields)
 def test_a_command_that_is_not_a_number_is_ignored(what, looks, monkeypatch):
-    """Without the look at it the vehicle is sent it."""
+    """Without the check it is sent to the vehicle."""
     if not looks:
         _believe_all_commands(monkeypatch)
     desk = Desk().fly(autonomous=True)
@@ -907,7 +907,7 @@ def test_one_that_is_too_near_holds_brakes_and_moves_apart(psi_deg, climb):
     desk.run(0.2)
     commands = [sticks for _, sticks, _ in desk.run(0.3)]
     assert len(commands) > 5
-    # it is braked by its model: each command reckons with those that are under way
+    # it is braked by its model: each command takes those that are under way into account
     forward, left = np.mean([sticks[:2] for sticks in commands], axis=0)
     assert forward < left < -0.1 and {sticks[2:] for sticks in commands} == {(0.3 * climb, 0.0)}
     desk.run(0.6)
@@ -981,7 +981,7 @@ def test_packets_without_a_battery_are_no_empty_battery():
 
 
 def request(desk):
-    """Ask for a landing. Returns (done, what happens)."""
+    """Ask for a landing. Return the answer (done, text)."""
     orders = desk.pilot.on_land_request(desk.now_s)
     desk.take(orders)
     return orders.answer
@@ -1050,7 +1050,7 @@ def test_a_request_to_a_silent_vehicle_is_ordered_and_called_unsure():
 
 @pytest.mark.parametrize("state", [FlightState.UNKNOWN, FlightState.TEST])
 def test_a_request_to_a_vehicle_whose_state_proves_nothing_is_ordered_and_called_unsure(state):
-    """A node that was started anew during a flight may hear nothing else."""
+    """A node that was restarted during a flight may hear nothing else."""
     desk = Desk()
     desk.pilot = VehiclePilot(VehicleNodeParams(), ARDRONE, desk.now_s)
     desk.flight_state = state
@@ -1151,7 +1151,7 @@ def test_one_that_moves_stops_before_it_lands(speed_m_s, stops_s):
 
 
 def test_always_a_little_too_late_is_too_late():
-    """States of 0.11 s, one after the other: held, and after the time that a loss has landed, too."""
+    """States that are all 0.11 s old: held, and landed after the same time as in a loss."""
     desk = Desk().fly(autonomous=True)
     desk.alive.discard("state")
     levels = []

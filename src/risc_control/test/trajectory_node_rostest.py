@@ -29,7 +29,7 @@ RATE_HZ = 200.0
 class Lab:
     """Two vehicles that hover where they are, and everything that the nodes publish.
 
-    States come 50 times a second: nobody here looks more often, and all of this is on one computer.
+    States come 50 times a second: no node here needs more, and all of them run on one computer.
     """
 
     def __init__(self):
@@ -72,7 +72,7 @@ class Lab:
         return self.phases[node][-1].get(name) if self.phases[node] else None
 
     def wait_for_phase(self, node, phase, name="fluffy_II", since=None):
-        """Until the vehicle is in the phase; with `since`, until it was in it after that many announcements."""
+        """Wait until the vehicle is in the phase; with `since`, until it was in it after that many announcements."""
         if since is None:
             wait_for(lambda: self.phase(node, name) == phase, "%s: %s is in phase %s" % (node, name, phase))
         else:
@@ -82,7 +82,7 @@ class Lab:
             )
 
     def newest(self, node):
-        """{name: Trajectory} of a reference made after this call: phases that have been announced are in it."""
+        """{name: Trajectory} of a reference made after this call: it includes all phases announced so far."""
         now, references = rospy.Time.now(), self.references[node]
         wait_for(lambda: references[-1].header.stamp > now, "%s publishes" % node)
         return {entry.name: entry for entry in references[-1].Obj}
@@ -137,14 +137,14 @@ class TrajectoryNodeTest(unittest.TestCase):
         on_course = rospy.get_time()
         wait_for(lambda: len(self.references_since("generic", on_course)) >= 150, "references on the course")
         messages = self.references_since("generic", begin)
-        # A computer without time makes fewer; more than the schedule are only the few ticks that a timer catches up.
+        # A busy computer sends fewer; beyond the schedule there are only the few ticks that a timer catches up.
         span_s = (messages[-1].header.stamp - messages[0].header.stamp).to_sec()
         self.assertLessEqual(len(messages) - 1, RATE_HZ * span_s + 5.0, "references too often")
         for before, after in zip(messages[:-1], messages[1:]):
             step_s = (after.header.stamp - before.header.stamp).to_sec()
             self.assertGreater(step_s, 0.0)
             for first, second in zip(before.Obj, after.Obj):
-                # what is published belongs together: the change of position is the velocity
+                # positions and velocities match: the change of position is the velocity
                 mean = 0.5 * (first.xdot + second.xdot)
                 self.assertAlmostEqual(second.x - first.x, mean * step_s, delta=1e-4 + 5.0 * step_s**3)
         course = self.lab.newest("generic")
@@ -184,7 +184,7 @@ class TrajectoryNodeTest(unittest.TestCase):
         for button, name in ((5, "quadrant 2"), (4, "quadrant 1")):
             self.lab.press("quadrants", button)
             wait_for(lambda name=name: self.lab.courses["quadrants"][-1] == name, "on to " + name)
-        self.lab.press("quadrants", 5, age_s=2.0)  # a network held it up: not obeyed, or the next leads elsewhere
+        self.lab.press("quadrants", 5, age_s=2.0)  # delayed by a network: not obeyed, or the next leads elsewhere
         self.lab.press("quadrants", 4)
         names = ["origin", "quadrant 1", "quadrant 2", "quadrant 1", "origin"]
         wait_for(lambda: self.lab.courses["quadrants"][-1] == names[-1], "the press that is in time counts")
@@ -202,7 +202,7 @@ class TrajectoryNodeTest(unittest.TestCase):
             lambda: any(abs(c.theta) > 0.05 for m in self.lab.controls[begin:] for c in m.Obj), "a command to follow"
         )
         names = {tuple(control.name for control in message.Obj) for message in self.lab.controls}
-        self.assertLessEqual(names, {("albatross",), ()})  # nobody, as long as a stall lets states grow old
+        self.assertLessEqual(names, {("albatross",), ()})  # none while a stall makes the states too old
 
     def test_7_an_old_name_flies_its_course(self):
         self.lab.autonomous = True
@@ -214,7 +214,7 @@ class TrajectoryNodeTest(unittest.TestCase):
     def test_8_a_button_lets_the_target_go(self):
         self.lab.autonomous = True
         self.lab.wait_for_phase("target", "course")
-        self.lab.press("target", 1, age_s=2.0)  # a network held it up
+        self.lab.press("target", 1, age_s=2.0)  # delayed by a network
         stamp = rospy.Time.now()
         wait_for(lambda: self.lab.references["target"][-1].header.stamp > stamp + rospy.Duration(0.5), "references")
         self.assertEqual(self.lab.courses["target"], ["WP"])

@@ -34,11 +34,11 @@ from roscopter.msg import State
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 NAME = "/vehicle_fleet_test"
-OTHERS = ("risc1", "risc3")  # of the vehicle that is in trouble
+OTHERS = ("risc1", "risc3")  # than the vehicle that is in trouble
 
 
 def tenth(stamp):
-    """The tenth of a second that it is in."""
+    """Number of the tenth of a second in which a stamp lies."""
     return stamp.to_nsec() // 10**8
 
 
@@ -65,7 +65,7 @@ class VehicleFleetTest(unittest.TestCase):
 
     @classmethod
     def on_controls(cls, message):
-        """Note when the controllers send, and that one sends what is cut off."""
+        """Record when the controllers send, and whether a truncated message came."""
         try:
             controls = Controls().deserialize(message._buff)
         except DeserializationError:
@@ -75,12 +75,12 @@ class VehicleFleetTest(unittest.TestCase):
             cls.sent[control.name].add(tenth(controls.header.stamp))
 
     def answers_to_both(self, vehicle):
-        """Those of the times in which both controllers sent: that one of them stalls is not the node's doing."""
+        """Answers from times in which both controllers sent: a controller that stalls is not the node's fault."""
         both = set.intersection(*(self.sent[TEMPLATES[other]] for other in OTHERS))
         return [command for command in self.world.answers(vehicle) if tenth(command.answers) in both]
 
     def held(self, vehicle):
-        """What it was told that lets it hold or land, but for old states and controls: this computer may stall."""
+        """Its safety messages of a hold or landing, except for old states and controls: this computer may stall."""
         rules = Safety.STATE, Safety.CONTROLS
         return [m for m in self.world.messages(vehicle, "safety") if m.level != Safety.OK and m.rule not in rules]
 
@@ -146,7 +146,7 @@ class VehicleFleetTest(unittest.TestCase):
         self.assertEqual(world.messages("risc3", "ardrone/land"), [])
 
     def test_5_a_wider_vehicle_that_comes_too_near(self):
-        """An IRIS+ of the fleet, which another node flies, at a distance at which an AR.Drone is far enough."""
+        """An IRIS+ of the fleet, which another node flies, at a distance that is enough for an AR.Drone."""
         world = self.world
         world.fly_by_controls()
         far_m = SafetyLimits.separation_m + 0.1
@@ -158,7 +158,7 @@ class VehicleFleetTest(unittest.TestCase):
         self.assertEqual(self.held("risc1"), [])
 
     def test_5_a_wide_vehicle_that_another_node_holds(self):
-        """Its neighbour holds as soon as that node lands it; it is far enough from one that flies on or makes room."""
+        """Its neighbour holds as soon as that node lands it; while it flies on or gives way, the distance is enough."""
         world, limits = self.world, SafetyLimits()
         told = rospy.Publisher("/iris1/safety", Safety, queue_size=1, latch=True)
         telemetry = rospy.Publisher("/iris1/apm/state", State, queue_size=1, latch=True)
@@ -188,7 +188,7 @@ class VehicleFleetTest(unittest.TestCase):
         wait_for(lambda: len(world.answers("risc3")) >= 20, "commands of the third")
 
     def test_5_the_shut_down_button_of_one(self):
-        """It lands, and its vehicle is as at the start; the node is that of the others as well."""
+        """Its vehicle lands and starts over; the node goes on, as it is that of the others as well."""
         world = self.world
         world.fly_by_controls()
         world.forget()

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """The vehicle node on its topics: names, take-off and landing, command mapping, loss ladder, shutdown.
 
-Thresholds and pacing are held exactly by test_failsafe.py and test_vehicle_node_pilot.py, with a clock that the test
-turns. Here things must happen at all, in the right order and with the right content: the computer may be slow or stall.
+Thresholds and pacing are checked exactly by test_failsafe.py and test_vehicle_node_pilot.py, on a clock that the test
+advances. Here things must happen at all, in the right order, with the right content: the computer may be slow or stall.
 """
 
 import itertools
@@ -117,8 +117,8 @@ class VehicleNodeTest(unittest.TestCase):
             self.assertEqual(stamps, sorted(set(stamps)), "each answer is to a newer command")
             times = [t for t, _ in world.received[vehicle, "cmd_vel"]]
             self.assertLess(len(times) - 1, MOST_HZ * (times[-1] - times[0] + RECEIPT_JITTER_S), "commands too often")
-            # What is told is what went out. Manual commands, all zero here, may have come before recording began on one
-            # of the topics.
+            # What is reported is what was sent. Manual commands, all zero here, may have come before recording began on
+            # one of the topics.
             twists = [m for m in world.messages(vehicle, "cmd_vel") if not is_zero(m)]
             told = [m for m in world.told[TEMPLATES[vehicle]] if not is_zero(twist_of(m))]
             self.assertTrue(all(equal(one, twist_of(other)) for one, other in zip(twists, told)))
@@ -151,7 +151,7 @@ class VehicleNodeTest(unittest.TestCase):
         world.fly_by_controls()
 
     def be_silent(self):
-        """So long that a controller that is heard again may be another one."""
+        """Be silent so long that a controller that is heard afterwards may be another one."""
         self.world.running = False
         wait_for(lambda: time.monotonic() - self.world.sent_s > 2.0 * SILENCE_S, "silence")
         self.world.running = True
@@ -177,7 +177,7 @@ class VehicleNodeTest(unittest.TestCase):
         wait_for(lambda: len(world.messages("risc2", "ardrone/land")) >= 2, "landing of risc2, ordered on and on")
 
     def check_loss(self, vehicle):
-        """Zero commands, then the order to land, not too early; what the safety says of it."""
+        """Check for zero commands, then the order to land, not too early, and for the safety messages."""
         world = self.world
         commands, landings = world.received[vehicle, "cmd_vel"], world.received[vehicle, "ardrone/land"]
         world.wait(vehicle, "safety", lambda m: m.level == Safety.LAND)
@@ -226,7 +226,7 @@ class VehicleNodeTest(unittest.TestCase):
         self.assertEqual(world.answers("risc2"), [])
 
     def test_5_a_vehicle_that_turns_is_believed(self):
-        """As fast as it can, in degrees: with one unit for the other this is a jump, or the one above is not."""
+        """As fast as it can, in degrees: with the wrong unit this is a jump, or the turn in the test above is none."""
         world = self.world
         world.fly()
         world.forget()
@@ -237,7 +237,7 @@ class VehicleNodeTest(unittest.TestCase):
         self.assertEqual([m for m in world.messages("risc2", "safety") if m.rule == Safety.SUSPECT], [])
 
     def test_6_errors_land_and_do_not_stop_the_clock(self):
-        """A node in this process whose pilot is broken, as by an error that nobody has thought of."""
+        """A node in this process whose pilot is broken, as by an unexpected error."""
         rospy.set_param("~vehicle", "condor")
         node = VehicleNode("risc4")
         landings, statuses = [], []
@@ -299,7 +299,7 @@ class VehicleNodeTest(unittest.TestCase):
         self.assertEqual((told[-1].name, told[-1].computer), (TEMPLATES["risc2"], socket.gethostname()))
 
     def test_7_what_a_vehicle_says_of_itself(self):
-        """In the words of all types; at once when its state is another, else five times a second."""
+        """In the terms common to all types; at once when its state changes, otherwise five times a second."""
         world = self.world
         world.forget()
         world.flight_state["risc2"] = FLYING
@@ -311,7 +311,7 @@ class VehicleNodeTest(unittest.TestCase):
         self.assertGreater((stamps_s[-1] - stamps_s[0]) / (len(told) - 1), 0.19)
 
     def test_8_without_a_master_that_answers_the_ladder_goes_on(self):
-        """A base station beyond a cable that is out: connections stay, answers do not come."""
+        """A base station behind an unplugged cable: connections stay, answers do not come."""
         world = self.world
         world.fly_by_controls()
         master = rosgraph.Master("/vehicle_node_test").getPid()

@@ -1,4 +1,4 @@
-"""What is around vehicle nodes, for their rostests: the world that they fly in, and what they publish."""
+"""Surroundings of vehicle nodes, for their rostests: their inputs, and a record of what they publish."""
 
 import random
 import threading
@@ -22,7 +22,7 @@ LANDED, FLYING = 2, 3
 HOVER_N = 0.45 * 9.80665
 MOST_HZ = 31.0  # commands: 30 Hz is command_rate_hz
 TIMEOUT_S = 60.0
-NOISE_M = 1e-4  # of positions: those of exactly the same place would be a frozen motion capture
+NOISE_M = 1e-4  # of positions: exactly constant ones would look like frozen motion capture
 ARDRONE = load_vehicle_type("ardrone")
 STRAY_M_S = 0.5  # of a reference that leaves its vehicle, up to 1 m
 PUBLISHED = {
@@ -53,8 +53,8 @@ def wait_for(condition, what):
 class World:
     """Everything around the nodes: states and controls at 200 Hz, navdata at 50 Hz; records what the nodes publish.
 
-    templates: {vehicle: its template}.  nodes: that listen to states and controls.  flown: the vehicles that are in our
-    controls; None: all.
+    templates: {vehicle: its template}.  nodes: number of nodes that subscribe to states and controls.  flown: the
+    vehicles in our controls; None: all.
     """
 
     def __init__(self, templates, nodes, flown=None):
@@ -67,7 +67,7 @@ class World:
         self.turn_deg_s = dict.fromkeys(self.templates, 0.0)
         self.y_m = {vehicle: 1.5 * (k - 1) for k, vehicle in enumerate(templates)}  # none is near another one
         self.strays = set()  # vehicles whose references leave them
-        self.passers = {}  # {template: y [m]} of vehicles that nobody here flies
+        self.passers = {}  # {template: y [m]} of vehicles that no node here flies
         self.running = True
         self.sent = set()  # stamps of states and controls
         self.sent_s = 0.0  # [s] monotonic, of the newest ones
@@ -149,16 +149,16 @@ class World:
         self._thread.join()
 
     def press(self, vehicle, button, late_s=0.0):
-        """Press a button and let go. late_s: for so long the messages were on their way."""
+        """Press a button and let go. late_s: age of the messages when they are sent."""
         self.hold(vehicle, button, late_s)
         self.hold(vehicle, None, late_s)
 
     def hold(self, vehicle, button, late_s=0.0):
-        """One message of a joystick with this button down; None: with none."""
+        """Send one joystick message with this button down; None: no button."""
         self.send_joy(vehicle, Joy(axes=[0.0] * 8, buttons=[1 if k == button else 0 for k in range(11)]), late_s)
 
     def send_joy(self, vehicle, joy, late_s=0.0):
-        """Send what a joystick says. late_s: for so long it was on its way."""
+        """Send a joystick message. late_s: its age when it is sent."""
         joy.header.stamp = rospy.Time.now() - rospy.Duration(late_s)
         self._joy[vehicle].publish(joy)
 
@@ -170,7 +170,7 @@ class World:
             del received[:]
 
     def answers(self, vehicle):
-        """What it was told to be sent that answers /controls; what is manual or held answers nothing."""
+        """Commands sent to it that answer /controls; manual commands and those of a hold answer nothing."""
         return [command for command in self.told[self.templates[vehicle]] if not command.answers.is_zero()]
 
     def wait(self, vehicle, topic, fits=lambda message: True):
@@ -178,17 +178,17 @@ class World:
         assert found, "%s of %s, of\n%s" % (topic, vehicle, self.messages(vehicle, topic)[:20])
 
     def wait_for_state(self, vehicle, state):
-        """Until the vehicle's node knows by navdata that the vehicle is in this state."""
+        """Wait until the vehicle's node knows by navdata that the vehicle is in this state."""
         reports, template = self._reports, self.templates[vehicle]
         wait_for(lambda: reports.get(template, {}).get("flight state") == str(state), "state of %s" % vehicle)
 
     def let_pass(self, vehicle, statuses=15):
-        """Half a second of the node's own time: it reports its mode 30 times a second at most."""
+        """Wait half a second of the node's own time: it reports its mode 30 times a second at most."""
         self.forget()
         wait_for(lambda: len(self.received[vehicle, "controller_status"]) >= statuses, "status of %s" % vehicle)
 
     def fly(self):
-        """From the ground into the air and into autonomous mode; what comes after the take-off is kept."""
+        """Bring all from the ground into the air and into autonomous mode; keep what comes after the take-off."""
         self.flight_state = dict.fromkeys(self.templates, LANDED)
         self.forget()
         for vehicle in self.templates:  # on the ground the mode becomes manual, and the ladder begins anew
@@ -196,8 +196,8 @@ class World:
         self.flight_state = dict.fromkeys(self.templates, FLYING)
         self.forget()
         for vehicle in self.templates:
-            # Commands are for vehicles that fly: the node knows it. These are level: after so many no climb that was
-            # commanded before is under way any more, which the prediction of the climb rate would begin with.
+            # Only flying vehicles are commanded: the node knows that it flies. These commands are level: after ten
+            # of them no earlier climb command is under way, with which the prediction of the climb rate would begin.
             wait_for(lambda v=vehicle: len(self.messages(v, "cmd_vel")) >= 10, "manual commands of %s" % vehicle)
             wait_for(lambda v=vehicle: self._switches_to_autonomous(v), "autonomous mode of %s" % vehicle)
 

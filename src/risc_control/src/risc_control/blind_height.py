@@ -1,7 +1,7 @@
-"""Height of a vehicle on sticks that is not seen: by the model of its climb, and by what it says itself. No ROS.
+"""Height of a vehicle on sticks that is not seen: by the model of its climb, and by its own reports. No ROS.
 
-The height and climb rate that it says to have come from a barometer, which drifts: what counts is how they differ from
-what they were while it was seen.
+The height and climb rate that it reports come from a barometer, which drifts: they are used relative to their offsets
+while it was seen.
 """
 
 import math
@@ -9,13 +9,13 @@ from collections import deque
 
 from risc_lab.limits import within
 
-_FEELS_S, _FELT_S = 0.5, 3.0  # of reports while it is seen: from so many on they count; time constant of their zeros
-_FELT_GAP_S = 0.25  # between reports at most
-_LATE_S = 0.3  # they may be late by so much more than they are as a rule:
-_NOISE_M, _NOISE_M_S = 0.15, 0.1  # they count beyond all that was reckoned for then, and beyond their noise,
-_FELT_M, _FELT_M_S = 0.8, 1.0  # and are not believed where they are so far from it
-_FELT_1_S = 1.0  # of the height that is reckoned, by its error
-_CLIMB_1_S, _CLIMB_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned;
+_FEELS_S, _FELT_S = 0.5, 3.0  # of reports while it is seen: least duration to use them; time constant of their zeros
+_FELT_GAP_S = 0.25  # longest gap between reports
+_LATE_S = 0.3  # they may be later than usual by up to this:
+_NOISE_M, _NOISE_M_S = 0.15, 0.1  # only their excess over the model's range of that time and their noise counts,
+_FELT_M, _FELT_M_S = 0.8, 1.0  # and they are not believed if it is this large
+_FELT_1_S = 1.0  # gain of the correction of the height
+_CLIMB_1_S, _CLIMB_M_S2 = 2.0, 1.0  # control of the modelled climb rate: gain, limit;
 _HEIGHT_1_S, _HEIGHT_M_S = 1.0, 0.3  # and of the height
 
 
@@ -24,26 +24,26 @@ class BlindHeight:
 
     def __init__(self, observer):
         """observer: its ClimbObserver, which is corrected, too."""
-        self.height_m = 0.0  # as it was seen, or is reckoned since
+        self.height_m = 0.0  # as it was seen, or by the model since
         self._held_m = 0.0
         self._observer = observer
-        self._lately = deque(maxlen=32)  # reckoned: (time, height, climb rate)
-        self._felt, self._felt_s = None, -math.inf  # newest (height, climb rate) that it said to have, when it had them
-        self._zeros, self._zeros_s = (0.0, 0.0), 0.0  # by which these were too large while it was seen; of how long
+        self._lately = deque(maxlen=32)  # by the model: (time, height, climb rate)
+        self._felt, self._felt_s = None, -math.inf  # newest (height, climb rate) that it reported; when it had them
+        self._zeros, self._zeros_s = (0.0, 0.0), 0.0  # their offsets while it was seen; averaged over how long [s]
 
     def see(self, height_m):
-        """It was seen there."""
+        """It was seen at this height."""
         self.height_m = self._held_m = height_m
         self._lately.clear()
 
     def hold_here(self):
-        """The height that is held is that of now."""
+        """Hold the present height."""
         self._held_m = self.height_m
 
     def feel(self, height_m, climb_m_s, measured_s, seen, obeys):
-        """It says that it had this height, by a zero of its own, and climb rate.
+        """It reports its height, above a zero of its own, and climb rate, both at measured_s.
 
-        seen: (height, climb rate) for then by motion capture; None: it is not seen.  obeys: it takes our commands.
+        seen: (height, climb rate) of that time by motion capture; None: not seen.  obeys: it takes our commands.
         """
         if (height_m, climb_m_s) == self._felt or not math.isfinite(height_m + climb_m_s):
             return
@@ -68,7 +68,9 @@ class BlindHeight:
                 self._observer.correct(error_m_s, step_s)
 
     def advance(self, now_s, step_s, climb_m_s=None):
-        """Upward acceleration [m/s^2] of now, step_s after the last, for a climb rate; None: to hold the height."""
+        """Upward acceleration [m/s^2] to command now for a climb rate; None: to hold the height. step_s: since the last
+        call.
+        """
         self._observer.advance(now_s)
         has_m_s = self._observer.climb_m_s
         self.height_m += step_s * has_m_s
@@ -79,5 +81,5 @@ class BlindHeight:
 
 
 def _beyond(value, known, noise):
-    """By how much it is above or below all that is known, and the noise."""
+    """By how much a value is above or below the range of `known`, widened by the noise."""
     return value - min(max(value, min(known) - noise), max(known) + noise)

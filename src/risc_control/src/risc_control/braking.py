@@ -1,21 +1,21 @@
-"""To a stop without being seen: the velocity of a vehicle by its model, and the tilt that takes it away. No ROS.
+"""Braking without being seen: the velocity of a vehicle by its model, and the tilt that stops it. No ROS.
 
-Motion capture says how a vehicle moved when it was seen last. From then on it follows the commands that it was sent
-(`delay_prediction`), which brings a good velocity over the second or two that a stop takes. What corrects this model:
+Motion capture gives the motion of a vehicle when it was seen last. From then on the model follows the commands that it
+was sent (`delay_prediction`), which gives a good velocity for the second or two that a stop takes. It is corrected by:
 
-- While a vehicle that does nothing by itself is seen, its velocity changes otherwise than the commands explain: its
-  level is not exact, the air moves. That acceleration is learnt, along its axes, and goes on (`see`).
+- The acceleration that the commands do not explain, while a vehicle that does nothing by itself is seen: its level is
+  not exact, the air moves. It is learnt along the vehicle's axes, and added from then on (`see`).
 - Its own velocity, where it measures one, as an AR.Drone by its bottom camera: slowly, for wind and for a velocity that
   was wrong when it was seen last (`feel`).
-- The tilt that it reports, as an IRIS+, where that comes to differ from the commanded one otherwise than it did while
+- The tilt that it reports, as an IRIS+, where its difference from the commanded one is no longer that of the time when
   the vehicle was seen (`feel_tilt`). Reports are too few, and too late by a time that is not known exactly, to be
-  compared while it tilts over; they count while model and reports both keep still.
+  compared while the tilt changes; they count while model and reports are both steady.
 
 What is far from the model, or repeats itself, is not believed.
 
-The tilt is that of a state feedback on what the vehicle will do when the command takes effect: velocity v, tilt a and
+The tilt is commanded by a state feedback on the predicted state when the command takes effect: velocity v, tilt a and
 its rate along each axis of its heading, v' = g a and a'' = wn^2 (command - a) - 2 zeta wn a'. Its three poles are those
-of a Butterworth filter, as quick as its attitude loop allows; a limit of the tilt makes a stop from speed longer.
+of a Butterworth filter, as fast as the attitude loop allows; the limit of the tilt makes a stop from speed longer.
 """
 
 import math
@@ -30,30 +30,30 @@ from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
 
 TILT_RAD = math.radians(20.0)
-STOPPED_M_S = 0.05  # slower it holds its place, or is left to hold it by itself,
-_MEANWHILE_M_S = 0.1  # by which it brakes, too: what it does about a larger velocity of then comes on top
-_TILT_RAD_S = 6.0  # so fast does a command change
-_BANDWIDTH = 1.5  # of the feedback, over that of the attitude loop
-_CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of an error of the velocity that one report takes away; a larger error
-_LOOPS_S = 0.6  # what was commanded earlier the attitude loops have forgotten
-_WINDOW_S = 0.5  # commands of a longer time than this are gone through for good
-_LEARN_S, _LEARNS_S, _PUSH_M_S2 = 0.2, 1.5, 0.8  # what it is pushed by: interval, time constant, the most
-_TILT_S, _OFFSET_S = 0.25, 2.0  # between reports of tilt at most; time constant of what they differ by while it is seen
-_STILL_RAD, _STILL_RAD_S = math.radians(1.0), 0.1  # it keeps still: change between reports, rate of the model;
-_STILL_S = 0.4  # that counts after so long, as reports may be late by so much more than they are as a rule
-_SHIFTS, _BELIEVED_RAD = 0.3, math.radians(3.0)  # share of a difference that stays; a larger one
+STOPPED_M_S = 0.05  # slower than this it holds its place, or is left to hold it by itself,
+_MEANWHILE_M_S = 0.1  # by which it brakes, too: that would add to the braking of a velocity above this
+_TILT_RAD_S = 6.0  # greatest rate of a command
+_BANDWIDTH = 1.5  # of the feedback, relative to that of the attitude loop
+_CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of a velocity error that one report corrects; larger errors are ignored
+_LOOPS_S = 0.6  # the attitude loops have forgotten earlier commands
+_WINDOW_S = 0.5  # the model is advanced for good when it is behind by more than this
+_LEARN_S, _LEARNS_S, _PUSH_M_S2 = 0.2, 1.5, 0.8  # learning the external acceleration: interval, time constant, limit
+_TILT_S, _OFFSET_S = 0.25, 2.0  # longest gap between tilt reports; time constant of their offset while it is seen
+_STILL_RAD, _STILL_RAD_S = math.radians(1.0), 0.1  # it is steady: change between reports, rate of the model;
+_STILL_S = 0.4  # for this long before it counts, as reports may be later than usual by that much
+_SHIFTS, _BELIEVED_RAD = 0.3, math.radians(3.0)  # share of a difference that is kept; larger ones are ignored
 
-# Of the feedback on one axis; speed that a tilt and its rate bring until it is level.
+# Gains of the feedback on one axis; speed gained from a tilt and its rate until it is level.
 _GAIN = record("velocity tilt rate most_rad levels_m_s_rad levels_m_rad")
 
 
 class Brake(NamedTuple):
-    """What a vehicle needs."""
+    """Command that brakes a vehicle."""
 
     roll_rad: float  # as in `vehicles.Command`
     pitch_rad: float
     then: object  # `vehicle_pilot.OwnState` when the command takes effect
-    stopped: bool  # it would be slow if it was told to be level now, and is not fast until then
+    stopped: bool  # it would be slow if it was commanded level now, and is not fast when that takes effect
 
 
 class Braking:
@@ -62,22 +62,22 @@ class Braking:
     def __init__(self, vehicle_type, sent, brakes=True):
         """sent: HISTORY of what it is sent.  brakes: False for one that is only levelled."""
         self._sent = sent
-        self._seen = self._own = None  # newest that was seen, until it counts; the same for good
+        self._seen = self._own = None  # newest state that the model has not started from yet; newest state
         self._felt_m_s, self._felt_s = (0.0, 0.0), -math.inf
-        self._mark, self._push_m_s2 = None, (0.0, 0.0)  # (own, when) that learning began at; forward, right
-        self._tilt_rad, self._tilt_s = (math.nan, math.nan), -math.inf  # newest that it reported, and had then
-        self._model_rad = (math.nan, math.nan)  # the model's of then
-        self._still_s = self._counted_s = -math.inf  # since when both keep still; until when that has been counted
-        self._waits = False  # the newest report has not been compared, while it is not seen
-        self._offset_rad, self._offset_s = (0.0, 0.0), 0.0  # reported tilt - model's, while it is seen; of how long
-        self._shift_rad = (0.0, 0.0)  # that the tilt differs from the model's since then
+        self._mark, self._push_m_s2 = None, (0.0, 0.0)  # (own, when) at which learning began; forward, right
+        self._tilt_rad, self._tilt_s = (math.nan, math.nan), -math.inf  # newest that it reported; when it had it
+        self._model_rad = (math.nan, math.nan)  # tilt of the model at that time
+        self._still_s = self._counted_s = -math.inf  # since when both are steady; until when that was counted
+        self._waits = False  # the newest report has not been compared yet, while it is not seen
+        self._offset_rad, self._offset_s = (0.0, 0.0), 0.0  # reported tilt - model's, while it is seen; over how long
+        self._shift_rad = (0.0, 0.0)  # by which the tilt has come to differ from the model's since then
         self._motion, self._at_s = _STANDING, -math.inf
-        self._plant = None  # it is not braked
+        self._plant = None  # None: it is not braked
         if not brakes:
             return
         try:
             self._plant = plants([vehicle_type])[0]
-        except ValueError:  # its delay is so long that nobody can say where it will be
+        except ValueError:  # its delay is too long for a prediction
             return
         self._delay_s = self._plant.delay_s - 0.5 * self._plant.period_s  # the last half period is that of the hold
         self._gains = np.zeros(2, _GAIN)
@@ -92,13 +92,13 @@ class Braking:
             gain.levels_m_s_rad = GRAVITY_M_S2 * damping_1_s / wn**2
             gain.levels_m_rad = GRAVITY_M_S2 / wn**2
         self._commands = np.zeros((2 + round(MAX_HORIZON_S / STEP_S), 4))
-        self._ahead(self._motion, 0.0, 0.1)  # loads what is compiled
+        self._ahead(self._motion, 0.0, 0.1)  # loads the compiled code
         _feedback(self._motion, self._gains, sent, 0.0)
         _corrected(self._motion, 0.0, 0.0)
         _pushed(self._motion, 0.0, 0.0, 0.0)
 
     def see(self, own, measured_s, learns=False):
-        """It was seen (`vehicle_pilot.OwnState`). learns: nothing but what it was sent moves it."""
+        """It was seen (`vehicle_pilot.OwnState`). learns: only the commands that it was sent move it."""
         self._seen = self._own = own
         self._own_s = measured_s
         if self._plant is None:
@@ -112,11 +112,11 @@ class Braking:
             self._mark = own, measured_s
 
     def feel(self, velocity_m_s, now_s):
-        """It reports its own velocity, level: forward, right [m/s]."""
+        """It reports its own velocity, horizontal: forward, right [m/s]."""
         self._felt_m_s, self._felt_s = velocity_m_s, now_s
 
     def feel_tilt(self, tilt_rad, measured_s):
-        """It reports its roll and pitch [rad], which it had then."""
+        """It reports its roll and pitch [rad] of the time measured_s."""
         if self._plant is None or tilt_rad == self._tilt_rad or not math.isfinite(sum(tilt_rad)):
             return
         if not 0.0 < measured_s - self._tilt_s < _TILT_S or _differ(tilt_rad, self._tilt_rad):
@@ -132,7 +132,7 @@ class Braking:
             self._counted_s = measured_s
 
     def command(self, now_s):
-        """`Brake` of now; None of a vehicle that was not seen yet or too long ago, or is not braked."""
+        """`Brake` to command now; None for a vehicle that was never or too long ago seen, or is not braked."""
         if self._plant is None:
             return None
         if self._seen is not None:
@@ -162,7 +162,7 @@ class Braking:
         return Brake(roll_rad, pitch_rad, own, stopped)
 
     def _begin(self):
-        """From the newest state, with the rates that the commands until then have made."""
+        """Start the model from the newest state, with the angular rates that the commands until then have caused."""
         own, self._at_s, self._seen = self._seen, self._own_s, None
         (x, y, z), (u, v, w) = own.position_m, own.velocity_m_s  # cortex frame: north, west, up
         seen = Motion(x, -y, z, u, -v, w, own.phi_rad, own.theta_rad, own.psi_rad, 0.0, 0.0, 0.0, 0.0)
@@ -175,7 +175,7 @@ class Braking:
         self._shift_rad, self._waits = (0.0, 0.0), False
 
     def _learn(self, own, measured_s):
-        """By what the velocity has changed since the mark, otherwise than by the commands."""
+        """Learn the external acceleration from the change of velocity since the mark that commands do not explain."""
         (was, was_s), (u, v, _) = self._mark, own.velocity_m_s
         (was_u, was_v, was_w), made, lasts_s = was.velocity_m_s, self._made(was_s), measured_s - was_s
         then = made._replace(north_m_s=was_u, east_m_s=-was_v, up_m_s=was_w, psi_rad=was.psi_rad)
@@ -183,11 +183,11 @@ class Braking:
         north_m_s2, east_m_s2 = (u - then.north_m_s) / lasts_s, (-v - then.east_m_s) / lasts_s
         cosine, sine = math.cos(own.psi_rad), math.sin(own.psi_rad)
         wrong_m_s2 = cosine * north_m_s2 + sine * east_m_s2, cosine * east_m_s2 - sine * north_m_s2
-        believed_m_s2 = (clipped(wrong, _PUSH_M_S2) for wrong in wrong_m_s2)  # a false place is worth no more
+        believed_m_s2 = (clipped(wrong, _PUSH_M_S2) for wrong in wrong_m_s2)  # limits the effect of a false position
         self._push_m_s2 = _nearer(self._push_m_s2, believed_m_s2, -math.expm1(-lasts_s / _LEARNS_S))
 
     def _compare(self):
-        """What it reports of its tilt with the model's: that has gone on so since both keep still."""
+        """Compare the reported tilt with the model's; the difference has acted since both are steady."""
         if self._tilt_s <= self._at_s or self._offset_s < _OFFSET_S:
             return
         self._go_on(self._tilt_s)
@@ -202,7 +202,7 @@ class Braking:
             self._shift_rad = roll_was + _SHIFTS * roll_rad, pitch_was + _SHIFTS * pitch_rad
 
     def _keeps_still(self, model):
-        """Whether reports and model, a Motion of the newest report's time, have not changed for long."""
+        """Whether the reports and the model have long been steady. model: Motion at the time of the newest report."""
         turns_rad_s = max(abs(model.phi_rate_rad_s), abs(model.theta_rate_rad_s))
         model_rad = model.phi_rad, model.theta_rad
         if turns_rad_s > _STILL_RAD_S or _differ(model_rad, self._model_rad):
@@ -214,17 +214,17 @@ class Braking:
         self._motion, self._at_s = self._later(to_s), to_s
 
     def _later(self, to_s):
-        """Motion of then."""
+        """Motion at to_s."""
         lasts_s, (forward_m_s2, right_m_s2), (roll_rad, pitch_rad) = to_s - self._at_s, self._push_m_s2, self._shift_rad
         forward_m_s2, right_m_s2 = forward_m_s2 - GRAVITY_M_S2 * pitch_rad, right_m_s2 + GRAVITY_M_S2 * roll_rad
         return _pushed(self._ahead(self._motion, self._at_s, lasts_s), forward_m_s2, right_m_s2, lasts_s)
 
     def _made(self, now_s):
-        """Motion whose tilt and rates are those that the commands until then have made."""
+        """Motion whose tilt and rates are those that the commands until now_s have caused."""
         return self._ahead(_STANDING, now_s - _LOOPS_S, _LOOPS_S)
 
     def _ahead(self, motion, from_s, horizon_s):
-        """Motion that much later by the commands."""
+        """Motion horizon_s later by the commands."""
         commands = self._commands[: 1 + steps_of(horizon_s)]
         fill_in_force(self._sent, self._sent, self._plant, from_s, commands)
         return predicted(motion, self._plant, horizon_s, commands)
@@ -238,13 +238,13 @@ def _differ(tilt_rad, other_rad):
 
 
 def _nearer(values, to, share):
-    """Values, by this share nearer to others."""
+    """Values, moved by this share towards others."""
     return tuple(value + share * (other - value) for value, other in zip(values, to))
 
 
 @compiled
 def _corrected(motion, forward_m_s, right_m_s):
-    """Motion with a velocity that is nearer to the one that the vehicle measured, level."""
+    """Motion with its velocity corrected towards the horizontal one that the vehicle measured."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     north_m_s = cosine * forward_m_s - sine * right_m_s - motion.north_m_s
     east_m_s = sine * forward_m_s + cosine * right_m_s - motion.east_m_s
@@ -255,7 +255,7 @@ def _corrected(motion, forward_m_s, right_m_s):
 
 @compiled
 def _pushed(motion, forward_m_s2, right_m_s2, lasts_s):
-    """Motion of one that was accelerated for so long, level, beside what the commands did."""
+    """Motion with the effect of an additional horizontal acceleration for lasts_s."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     north_m_s = lasts_s * (cosine * forward_m_s2 - sine * right_m_s2)
     east_m_s = lasts_s * (sine * forward_m_s2 + cosine * right_m_s2)
@@ -264,7 +264,7 @@ def _pushed(motion, forward_m_s2, right_m_s2, lasts_s):
 
 @compiled
 def _changed(motion, north_m, east_m, north_m_s, east_m_s):
-    """Motion with these added to its place and velocity."""
+    """Motion with these added to its position and velocity."""
     return Motion(
         motion.north_m + north_m,
         motion.east_m + east_m,
@@ -284,7 +284,7 @@ def _changed(motion, north_m, east_m, north_m_s, east_m_s):
 
 @compiled
 def _feedback(motion, gains, sent, now_s):
-    """(roll, pitch, speed, speed): the command, how fast it is, and would be if it was told to be level instead."""
+    """(roll, pitch, speed, speed): the command, the speed of `motion`, and the speed if it was levelled instead."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     forward_m_s = cosine * motion.north_m_s + sine * motion.east_m_s
     right_m_s = cosine * motion.east_m_s - sine * motion.north_m_s

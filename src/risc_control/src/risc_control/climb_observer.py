@@ -1,4 +1,4 @@
-"""What the climb loop of a vehicle on sticks does, by what it was sent, and how far its model is wrong. No ROS."""
+"""Climb rate of a vehicle on sticks by the commands that it was sent, and the error of that model. No ROS."""
 
 import math
 
@@ -6,15 +6,15 @@ from risc_control.vehicles import climb_loops
 from risc_lab.command_history import ROWS, Channel, last_by
 from risc_lab.limits import within
 
-_MAX_GAP_S = 0.2  # between states: the observer begins anew
+_MAX_GAP_S = 0.2  # a longer gap between states restarts the observer
 _OBSERVER_RAD_S, _TRIM_M_S2, _STEP_S = 2.0, 3.0, 0.02
-_BLIND_S = 1.0  # a longer time without anything is not reckoned through
+_BLIND_S = 1.0  # the model is advanced by no more than this at once
 
 
 class ClimbObserver:
-    """Climb rate by the model of the climb loop, and how far that is wrong: a slow observer of a constant error.
+    """Climb rate by the model of the climb loop, and its constant error, estimated by a slow observer.
 
-    trim_m_s2: what is to be added to each command, as an upward acceleration. Commands in `sent` are without it.
+    trim_m_s2: to be added to each command, as an upward acceleration. Commands in `sent` are without it.
     """
 
     def __init__(self, vehicle_type, sent):
@@ -23,10 +23,10 @@ class ClimbObserver:
         self._loop = climb_loops([vehicle_type])[0]
         self._delay_s = vehicle_type.command_delay_s + 0.5 / vehicle_type.command_rate_hz  # waits for the next slot
         self._sent, self._time_s = sent, -math.inf
-        last_by(sent, 0.0, sent.newest)  # loads what is compiled
+        last_by(sent, 0.0, sent.newest)  # loads the compiled code
 
     def measure(self, climb_m_s, time_s, learns):
-        """The vehicle climbed at this rate then. learns: nothing but the commands moves it."""
+        """The vehicle was measured to climb at this rate at time_s. learns: only the commands move it."""
         step_s = time_s - self._time_s
         if not learns or not 0.0 <= step_s <= _MAX_GAP_S:
             self.climb_m_s, self._time_s = climb_m_s, time_s
@@ -35,12 +35,12 @@ class ClimbObserver:
         self.correct(climb_m_s - self.climb_m_s, step_s)
 
     def correct(self, error_m_s, step_s):
-        """It climbs by so much faster than by the commands. step_s: since the last time."""
+        """It climbs faster than the model by error_m_s. step_s: since the last correction."""
         self.climb_m_s += min(1.0, 2.0 * _OBSERVER_RAD_S * step_s) * error_m_s
         self.trim_m_s2 = within(self.trim_m_s2 - _OBSERVER_RAD_S**2 * step_s * error_m_s, _TRIM_M_S2)
 
     def advance(self, until_s):
-        """Go on to a time by the commands alone."""
+        """Advance the model to a time by the commands alone."""
         if until_s - self._time_s > _BLIND_S:
             self._time_s = until_s - _BLIND_S
         while self._time_s < until_s:

@@ -2,28 +2,28 @@
 
 import math
 
-_LAY_S = 0.001  # a message that is older than a fresh one by more than this has lain in the socket
+_LAY_S = 0.001  # a message that is older than a fresh one by more than this has waited in the socket
 
 
 class ControllerStream:
     """Messages of one sender. The node reads when a command is due, and finds one that has waited up to a period.
 
-    Of a fast sender a message that has waited is passed over: the next one is on its way, and fresh. Of a sender that
-    is slower than the node looks (a student's controller at 30 Hz) every message is read as it comes, and answered.
+    A message of a fast sender that has waited is skipped: the next one is on its way, and fresh. From a sender that is
+    slower than the node reads (a student's controller at 30 Hz) every message is read on arrival, and answered.
     """
 
     def __init__(self, look_s):
-        """look_s: how often the node looks [s]; a sender with a longer period is slow."""
+        """look_s: period at which the node reads [s]; a sender with a longer period is slow."""
         self._look_s = look_s
         self._period_s = math.inf
         self._stamp_s = -math.inf
-        self._fresh_s = math.inf  # age of a message that has not lain
+        self._fresh_s = math.inf  # age of a message that has not waited
         self._follows = False  # no message was left unread, so the next one is fresh when it is read
 
     def answers(self, stamp_s, age_s, is_due):
-        """Whether to make commands of a message.
+        """Whether to send the commands of a message.
 
-        stamp_s: of the message [s].  age_s: by its stamp, when it is read [s].  is_due: a vehicle takes a command now.
+        stamp_s: of the message [s].  age_s: by its stamp, when it is read [s].  is_due: a vehicle is due for a command.
         """
         if self._follows:
             self._period_s = stamp_s - self._stamp_s
@@ -37,5 +37,5 @@ class ControllerStream:
 
     @property
     def reads_on(self):
-        """Whether the next message is wanted at once, not only when a command is due again."""
+        """Whether to read the next message at once, not only when a command is due again."""
         return self._follows

@@ -1,7 +1,7 @@
-"""The state ahead: where the vehicles will be when a command that is sent now takes effect.
+"""Prediction of the state to the time when a command that is sent now takes effect.
 
-Commands reach a vehicle late (0.1 to 0.3 s of Wi-Fi), so feedback on the present state acts on the past. What the
-vehicle does until then is known, though: it follows the commands that are already on their way.
+Commands reach a vehicle late (0.1 to 0.3 s of Wi-Fi), so feedback on the present state acts too late. The motion of the
+vehicle until then is known, though: it follows the commands that are already on their way.
 
 Positions and velocities are north, east and up; angles are phi, theta, psi in the NED sense. Commands: see
 `risc_lab.command_history.Channel`.
@@ -25,7 +25,7 @@ MAX_HORIZON_S = 1.0
 # rate+ = f21 value + f22 rate + g2 u.
 LOOP_STEP = record("f11 f12 f21 f22 g1 g2")
 
-# What the prediction knows of a vehicle type: steps of STEP_S of its loops, and what moves it.
+# Model of a vehicle type for the prediction: steps of STEP_S of its loops, and its other numbers.
 PLANT = record(
     ("phi", LOOP_STEP),
     ("theta", LOOP_STEP),
@@ -113,14 +113,13 @@ def stepped(loop, value, rate, command):
 
 @compiled
 def fill_in_force(sent, own, plant, stamp_s, commands, before=0):
-    """Fill commands (before + 1 + steps, 4): those in force in the step of STEP_S before stamp_s, in each after it, and
-    in so many before it.
+    """Fill commands (before + 1 + steps, 4): those in force in the step of STEP_S before stamp_s, in each step after
+    it, and in `before` steps before it.
 
-    sent, own: HISTORY of what the vehicle was really sent, as far as that is known, and of what the controller has
-    computed. The first counts up to a command period after the newest of it, when the next one is due. From then on
-    (also of a vehicle of which nobody tells what it is sent) each command that was computed counts as sent, half a
-    period later: on average it would have been in force for so long when it comes to its middle.
-    A step has the command that is in force in its middle.
+    sent, own: HISTORY of the commands actually sent to the vehicle, where known, and of those that the controller has
+    computed. The former counts up to a command period after its newest entry, when the next one is due. From then on
+    (or always, if nothing is reported as sent) each computed command counts as sent half a period later, the mean time
+    for which a command has been in force. Each step gets the command that is in force in its middle.
     """
     wait_s = 0.5 * plant.period_s
     known_s = sent.times_s[sent.newest % ROWS] + plant.period_s
@@ -158,7 +157,7 @@ class Motion(NamedTuple):
 
 @compiled
 def steps_of(horizon_s):
-    """Steps of the grid that come next to a horizon. Raises ValueError for one that cannot be predicted."""
+    """Number of grid steps nearest to a horizon. Raises ValueError for one that cannot be predicted."""
     if not 0.0 <= horizon_s <= MAX_HORIZON_S:
         raise ValueError("the prediction horizon must be from 0 to 1 s")
     return max(1, int(np.rint(horizon_s / STEP_S)))
@@ -176,10 +175,10 @@ def acceleration(phi_rad, theta_rad, psi_rad, up_m_s, climb, plant):
 
 @compiled
 def predicted(motion, plant, horizon_s, commands, push_north_m_s2=0.0, push_east_m_s2=0.0, more_drag_1_s=0.0):
-    """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`, or what they are
-    worth (`disturbance_observer.driven`).
+    """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`, as they are or
+    corrected by `disturbance_observer.driven`.
 
-    push: acceleration that the model does not know, and that stays.  more_drag_1_s: over mass, than that of the type.
+    push: external acceleration, constant.  more_drag_1_s: additional drag over mass, beyond that of the type.
 
     The response of the command loops is exact on the grid of STEP_S. The acceleration that they cause is integrated
     once and twice as if it were linear between the grid points. Drag is taken at the initial velocity.

@@ -1,25 +1,25 @@
-"""What a vehicle does that its model does not know: level, gain and lag of tilt and climb, drag, and what pushes it.
-With its roll, pitch and velocity.
+"""Unmodelled behaviour of a vehicle: level, gain and lag of tilt and climb, drag, and an external acceleration (push).
+Its roll, pitch and velocity are estimated with them.
 
-Kalman filters on what motion capture says and the commands in force, for each axis:
+Kalman filters on the measurements of motion capture and the commands in force, for each axis:
 
 - tilt: angle, its rate, level, gain and lag: the attitude loop is angle'' = wn^2 (driven - angle) - 2 zeta wn angle',
-  driven = (1 + gain) command + level + lag (command of LAG_S before - command). So a lag of 1 is LAG_S: of a slower or
-  better damped loop as of a later link, which are much the same below their bandwidth. Rates by differencing noisy
-  angles are noisy or late; the model of the attitude loop knows them better. How well gain and lag are known goes by
-  what is commanded, so this filter carries its covariance.
-- height: the same of a climb loop that follows a climb rate (not `VehicleType.takes_thrust`),
-  height'' = (driven - height') / tau. Of a type that is told its thrust nothing is learnt here: its vehicle node trims
-  the throttle.
-- way: position, velocity and the push, an acceleration by which both go otherwise than tilt and drag explain: wind,
-  mass, thrust. It is along north and east, whichever way the vehicle turns. The gains are the steady-state ones for the
-  interval between two measurements.
-- drag: by how much it differs from that of the type, one number for both axes: on a circle it turns faster than the
-  push is learnt. As a bias that is estimated apart (B. Friedland, Treatment of bias in recursive filtering, 1969): each
-  way carries its sensitivities, by which it would be elsewhere if there were one more of drag.
+  driven = (1 + gain) command + level + lag (command of LAG_S before - command). So a lag of 1 is LAG_S, whether of a
+  slower or better damped loop or of a later link, which look much the same below their bandwidth. Rates by differencing
+  noisy angles are noisy or late; the model of the attitude loop gives better ones. How well gain and lag are known
+  depends on what is commanded, so this filter carries its covariance.
+- height: the same for a climb loop that follows a climb rate (not `VehicleType.takes_thrust`),
+  height'' = (driven - height') / tau. For a type that is commanded a thrust nothing is learnt here: its vehicle node
+  trims the throttle.
+- way: position, velocity and the push, the acceleration that tilt and drag do not explain: wind, mass, thrust. It is
+  along north and east, whichever way the vehicle turns. The gains are the steady-state ones for the interval between
+  two measurements.
+- drag: its difference from that of the type, one number for both axes: on a circle it turns faster than the push is
+  learnt. It is estimated as a separate bias (B. Friedland, Treatment of bias in recursive filtering, 1969): each way
+  carries its sensitivities, i.e. its change per unit of additional drag.
 
-A place or a tilt that the vehicle cannot have come to is not believed (exchanged names, say): nothing is learnt of it,
-and when it stays, the filters start there.
+A position or a tilt that the vehicle cannot have reached (exchanged names, say) is not believed: nothing is learnt from
+it, and if it persists, the filters restart there.
 """
 
 import math
@@ -44,28 +44,28 @@ LAG_STEPS = 20  # of STEP_S
 LAG_S = LAG_STEPS * STEP_S
 _MAX_GAP_S = 0.1  # a longer gap between measurements restarts the filters
 _TABLE_S = 0.0005  # resolution of their step
-_GAIN_EVERY = 10  # of these steps: so finely do the gains of the way go by the interval
-_RATE, _LEVEL = 1.0, 0.01  # standard deviations of what is not known at first
-_FORGET_S = 300.0  # gain and lag go back to 0 with this time constant, where no command shows them
+_GAIN_EVERY = 10  # of these steps share the gains of the way
+_RATE, _LEVEL = 1.0, 0.01  # initial standard deviations
+_FORGET_S = 300.0  # gain and lag decay to 0 with this time constant, unless commands excite them
 _LEVEL_MAX, _GAIN_MAX, _LAG_MAX, _PUSH_MAX_M_S2, _DRAG_MAX_1_S = 0.1, 0.3, 1.2, 3.0, 1.0  # more is something else
-_FALSE_M, _FALSE_RAD = 0.04, 0.15  # from what is predicted for the next frame, in any direction
-_FALSE_S = 0.2  # what is false for longer is true
+_FALSE_M, _FALSE_RAD = 0.04, 0.15  # a measurement is false this far from the prediction, in any direction
+_FALSE_S = 0.2  # what seems false for longer is true
 
-# Of a way along one axis, by what was measured: on the place, its rate, and the push. Variances: of what is measured
-# and not predicted, and of the drag, at first.
+# Gains of a way along one axis, from a measured position on position, velocity and push. Variances: of the innovation,
+# and of the drag, at first.
 _WAY_GAIN = record("place rate push variance_m2 drag_1_s2")
-_AS_MEASURED = 1.0, -1.0, 0.0, 1.0, 0.0  # no push is learnt: place and velocity are those that were measured
-# Of a type, by the steps of _TABLE_S since the measurement before.
+_AS_MEASURED = 1.0, -1.0, 0.0, 1.0, 0.0  # no push is learnt: position and velocity are the measured ones
+# Of a type, by the number of steps of _TABLE_S since the previous measurement.
 STEP = record(("phi", LOOP_STEP), ("theta", LOOP_STEP), ("height", LOOP_STEP), ("way", _WAY_GAIN))
-# How much is not known: variance of a measured value; of what disturbs rate and level, per second; of gain and lag.
+# Variances: of a measured value; of the noise on rate and level, per second; of gain and lag.
 _UNKNOWN = record("value rate_per_s level_per_s gain lag")
 
 _N = 5  # value, rate, level, gain, lag
 _AXIS = record("value rate level gain lag", ("P", float, (_N, _N)))
-# explained_m_s2: what tilt and drag explained when it was seen last; sensitivities: to the drag
+# explained_m_s2: acceleration by tilt and drag at the last measurement; then the sensitivities to the drag
 _WAY = record("m m_s push_m_s2 explained_m_s2", "place_m_s rate_m push_m_s")
 # Of a vehicle. time_s: of the newest measurement; true_s: of the newest that was believed.
-# drag_1_s: over that of its type, by its mass, and its variance.
+# drag_1_s: by how much its drag over mass exceeds that of its type; and the variance of that.
 OBSERVED = record(
     ("phi", _AXIS), ("theta", _AXIS), ("height", _AXIS), ("north", _WAY), ("east", _WAY),
     "time_s true_s drag_1_s drag_variance",
@@ -73,7 +73,7 @@ OBSERVED = record(
 
 
 def unseen(n):
-    """(n,) OBSERVED of vehicles of which nothing is known."""
+    """(n,) OBSERVED of vehicles that were not measured yet."""
     observed = np.zeros(n, OBSERVED)
     observed["time_s"] = observed["true_s"] = -np.inf
     return observed
@@ -82,12 +82,12 @@ def unseen(n):
 def observer(vehicle_types, params):
     """((k, steps) STEP, (k, 2) _UNKNOWN of tilt and height) of k VehicleTypes, for `observe`.
 
-    params: has angle_noise_rad, height_noise_m, position_noise_m: standard deviations of what is measured;
-    tilt_disturbance_rad_s2, climb_disturbance_m_s2: densities of what the models of the loops do not know, as
-    accelerations [rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz)]; level_rad_s, push_m_s3: densities by which level [rad/s/sqrt(Hz)]
-    and push [m/s^3/sqrt(Hz)] change, climb_level_m_s2 that by which the zero of the climb rate does; gain_spread,
-    lag_spread_s, drag_spread_1_s: standard deviations of gain, lag and drag. With 0 of one of the last six it is not
-    learnt; and no drag without a push.
+    params: has angle_noise_rad, height_noise_m, position_noise_m: standard deviations of the measurements;
+    tilt_disturbance_rad_s2, climb_disturbance_m_s2: densities of unmodelled accelerations of the loops
+    [rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz)]; level_rad_s, push_m_s3: densities by which level [rad/s/sqrt(Hz)] and push
+    [m/s^3/sqrt(Hz)] change, climb_level_m_s2 that by which the zero of the climb rate does; gain_spread, lag_spread_s,
+    drag_spread_1_s: standard deviations of gain, lag and drag. Those of the last six that are 0 are not learnt; nor is
+    the drag if the push is not.
     """
     A, b = (np.stack(part)[:, : Channel.YAW_RATE] for part in zip(*map(loops, vehicle_types)))
     times_s = _TABLE_S * np.arange(1, round(_MAX_GAP_S / _TABLE_S) + 1)
@@ -110,7 +110,7 @@ def observer(vehicle_types, params):
 
 
 def _way_gains(times_s, noise_m, push_m_s3):
-    """(steps,) _WAY_GAIN of place'' = push, where the push is disturbed with this density."""
+    """(steps,) _WAY_GAIN of place'' = push, where the push is a random walk of this density."""
     gains = np.zeros(len(times_s), _WAY_GAIN)
     for first in range(0, len(times_s), _GAIN_EVERY):
         Phi, _ = discretised(np.eye(3, k=1), np.zeros(3), times_s[first + _GAIN_EVERY - 1])
@@ -123,7 +123,7 @@ def _way_gains(times_s, noise_m, push_m_s3):
 
 @compiled
 def forget(observed, unknown):
-    """Level, gain, lag and drag of a vehicle are not those that were learnt: it stood, or did not obey the commands."""
+    """Forget level, gain, lag and drag of a vehicle: it stood, or did not obey the commands."""
     observed.drag_1_s = observed.drag_variance = 0.0
     _forget(observed.phi, unknown[0])
     _forget(observed.theta, unknown[0])
@@ -140,10 +140,10 @@ def _forget(axis, unknown):
 
 @compiled
 def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps, unknown):
-    """Bring a vehicle's OBSERVED to time_s by what was measured.
+    """Update a vehicle's OBSERVED to time_s by a measurement.
 
-    tilt: (phi, theta, phi', theta') and way: (north, east, up, their rates); the rates to start with. What is not
-    finite counts as not measured.
+    tilt: (phi, theta, phi', theta') and way: (north, east, up, their rates); the rates are used only to start. What is
+    not finite counts as not measured.
     command: in force since the last measurement; earlier: LAG_S before.  steps, unknown: see `observer`.
     """
     if not math.isfinite(sum(tilt) + sum(way) + psi_rad):
@@ -191,20 +191,20 @@ def observe(observed, time_s, tilt, way, command, earlier, psi_rad, plant, steps
 
 @compiled
 def driven(axis, command, earlier):
-    """What the loop of an axis really goes to, under a command and that of LAG_S before."""
+    """Value that the loop of an axis really approaches, under a command and that of LAG_S before."""
     return (1.0 + axis.gain) * command + axis.level + axis.lag * (earlier - command)
 
 
 @compiled
 def _begin(axis, unknown):
-    """Value and rate are those that were measured; what was learnt stays."""
+    """Restart the covariance of value and rate, which were just measured; what was learnt is kept."""
     axis.P[:2, :] = axis.P[:, :2] = 0.0
     axis.P[0, 0], axis.P[1, 1] = unknown.value, _RATE**2
 
 
 @compiled
 def _step_axis(axis, loop, command, earlier, step_s, unknown):
-    """An axis, and its covariance, a step later. What is not to be learnt any more is forgotten."""
+    """Advance an axis and its covariance by a step. What is no longer to be learnt is forgotten."""
     P, changes = axis.P, earlier - command
     if unknown.level_per_s == 0.0:
         axis.level = 0.0
@@ -241,7 +241,7 @@ def _step_axis(axis, loop, command, earlier, step_s, unknown):
 
 @compiled
 def _correct_axis(axis, measured, unknown):
-    """By a measured value."""
+    """Correct an axis by a measured value."""
     P, off = axis.P, measured - axis.value
     by = 1.0 / (P[0, 0] + unknown.value)
     axis.value += P[0, 0] * by * off
@@ -252,7 +252,7 @@ def _correct_axis(axis, measured, unknown):
     for row in range(_N - 1, -1, -1):  # P - P_0 P_0' / (P_00 + R), below and on the diagonal, the first column last
         for k in range(row, -1, -1):
             P[row, k] -= by * P[row, 0] * P[k, 0]
-    for row in range(_N):  # rounding must not make it lopsided
+    for row in range(_N):  # keep it symmetric in spite of rounding
         for k in range(row):
             P[k, row] = P[row, k]
 
@@ -269,9 +269,9 @@ def _explained(observed, psi_rad, command, earlier, plant):
 
 @compiled
 def _step_way(way, explained_m_s2, step_s):
-    """An axis' way, a step later, at whose end tilt and drag explain this acceleration."""
+    """Advance the way of an axis by a step, at whose end tilt and drag explain this acceleration."""
     half_s2 = 0.5 * step_s * step_s
-    by_drag = way.push_m_s - way.m_s  # what one more of drag is worth
+    by_drag = way.push_m_s - way.m_s  # acceleration per unit of additional drag
     way.place_m_s += step_s * way.rate_m + half_s2 * by_drag
     way.rate_m += step_s * by_drag
     m_s2 = way.push_m_s2 + 0.5 * (way.explained_m_s2 + explained_m_s2)
@@ -282,7 +282,7 @@ def _step_way(way, explained_m_s2, step_s):
 
 @compiled
 def _keep_drag(observed, gain, step_s):
-    """What is known of the drag, a step later. What is not to be learnt any more is forgotten."""
+    """Advance the estimate of the drag by a step. It is forgotten if it is no longer to be learnt."""
     if gain.drag_1_s2 == 0.0:
         observed.drag_1_s = observed.drag_variance = 0.0
         return
@@ -295,7 +295,7 @@ def _keep_drag(observed, gain, step_s):
 
 @compiled
 def _correct_drag(observed, off_north_m, off_east_m, gain, plant):
-    """How much more drag it is by how far the vehicle is from where it was predicted; no vehicle has less than none."""
+    """Correct the drag by the errors of the predicted position; return the change. No drag is negative in total."""
     north, east, before_1_s = observed.north, observed.east, observed.drag_1_s
     seen = (north.place_m_s**2 + east.place_m_s**2) / gain.variance_m2
     variance = observed.drag_variance / (1.0 + observed.drag_variance * seen)
@@ -306,7 +306,7 @@ def _correct_drag(observed, off_north_m, off_east_m, gain, plant):
 
 @compiled
 def _correct_way(way, place_m, rate_m_s, more_1_s, gain):
-    """By a measured place, which has shown that there is more_1_s more drag."""
+    """Correct a way by a measured position, by which the drag was raised by more_1_s."""
     off_m = place_m - way.m
     way.m += gain.place * off_m
     if gain.rate < 0.0:  # _AS_MEASURED

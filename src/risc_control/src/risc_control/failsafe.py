@@ -1,22 +1,21 @@
-"""The loss ladder of one vehicle: what happens when what it flies on goes silent, or it leaves the room. No ROS.
+"""The failsafe ("loss") ladder of one vehicle: what happens when its inputs go silent or it leaves the fence. No ROS.
 
 Levels, from the bottom:
     OK    nothing to do.
     HOLD  level and hold altitude (zero acceleration, thesis 7.7). Ends at once when everything is fresh again.
     LAND  land, ordered again and again until the vehicle reports that it stands. Stays, even when everything is fresh
           again, until then or until the operator takes over.
-A vehicle that must hold because of others (`separation`) moves up or down while that is not enough, and
-lands when it has held for `separation_land_s`; beside one that is straight below, or after `separation_wait_s`.
-The top level, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
+A vehicle that must hold because of others (`separation`) moves up or down while holding is not enough, and lands when
+it has held for `separation_land_s`. Above another vehicle it first goes aside; it lands anyway after
+`separation_wait_s`. The top level, the emergency stop, is the operator's: the ladder only says when it is needed.
 
-In manual mode the operator's eyes fly: mocap, controls, fence, the other vehicles, battery and telemetry do not act
-then, only the loss of the joystick does. A vehicle that does not fly itself (`hover`) is held by mocap and telemetry in
-manual mode, too, whose loss acts then. A landing may be asked for in any mode (`request_landing`): a LAND like any
-other.
+In manual mode the operator watches the vehicle: mocap, controls, fence, the other vehicles, battery and telemetry have
+no effect then, only the loss of the joystick has. A vehicle that does not fly itself (`hover`) is held by mocap and
+telemetry in manual mode, too, so their loss counts. A landing may be requested in any mode (`request_landing`): a LAND
+like any other.
 
-Times are seconds of a clock that never steps (monotonic); a message's age is what its stamp said when it arrived (by
-the wall clock, which all computers must share; small differences make nothing younger, see `message_age`) plus the
-time since.
+Times are seconds of a monotonic clock; a message's age is its age by its stamp when it arrived (by the wall clock,
+which all computers must share; small differences make no message younger, see `message_age`) plus the time since.
 """
 
 import math
@@ -28,12 +27,12 @@ from risc_control.separation import ALONE
 from risc_lab.message_age import MessageAges
 
 _OK, _HOLD, _LAND = FailsafeLevel  # the members of an enumeration are slow to look up, and this is asked in every frame
-_FENCE_CLEAR_S = 0.3  # the fence lets go of a vehicle that could stop in time for so long;
-_FENCE_FORGETS_S = 3.0  # one that it must hold again within so long it holds until it lands
-_JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
-# behind the reason of a message that has been long on its way
+_FENCE_CLEAR_S = 0.3  # the fence releases a vehicle that could have stopped in time for this long;
+_FENCE_FORGETS_S = 3.0  # one that it must hold again within this time it holds until it lands
+_JOYSTICK_MEMORY_S = 60.0  # how long a lost joystick keeps the vehicle on the ground
+# appended to the reason for a message that arrived late
 _LATE = ", %.0f ms when it came: shorten the delays of motion capture, network and computer, or set the clocks"
-_FINE = (_OK, Rule.NONE, "", None)  # what `SafetyLadder._judge` says of a flight without trouble
+_FINE = (_OK, Rule.NONE, "", None)  # what `SafetyLadder._judge` returns when nothing is wrong
 
 
 class Freshness:
@@ -78,14 +77,14 @@ class Freshness:
 
 
 class Lasting:
-    """For how long something was seen to be so, without a break; silence adds nothing."""
+    """For how long a condition was seen to hold without a break; silence adds nothing."""
 
     def __init__(self):
         self._since_s = None
         self._last_s = None
 
     def note(self, is_so, now_s):
-        """It was looked at."""
+        """The condition was checked."""
         if not is_so:
             self._since_s = None
             return
@@ -94,7 +93,7 @@ class Lasting:
             self._since_s = now_s
 
     def lasts(self, limit_s):
-        """True when it was seen to be so for that long, up to the newest look."""
+        """True if it was seen to hold for limit_s, up to the newest check."""
         return self._since_s is not None and self._last_s - self._since_s >= limit_s
 
 
@@ -108,7 +107,7 @@ class Reaction:
 
 
 class SafetyLadder:
-    """One vehicle's ladder. Feed it what arrives, ask `update` often (at 50 Hz or more)."""
+    """One vehicle's ladder. Feed it what arrives, call `update` often (at 50 Hz or more)."""
 
     def __init__(self, limits, vehicle_type, now_s):
         """limits: SafetyLimits.  vehicle_type: VehicleType."""
@@ -120,7 +119,7 @@ class SafetyLadder:
         self._suspect_s = -math.inf  # when it came
         self._not_finite_s = -math.inf  # when the controller sent a command that was not finite, last
         self._saturated = Lasting()
-        self._losses = (  # what it flies on, and how old that may be
+        self._losses = (  # inputs that it flies on, and how old they may be
             (Rule.STATE, self.state, limits.state_hold_s, limits.state_land_s),
             (Rule.CONTROLS, self.controls, limits.controls_hold_s, limits.controls_land_s),
         )
@@ -128,27 +127,28 @@ class SafetyLadder:
         self.reactions = []  # the newest Reaction of each level that was entered for age, oldest first
         self._navdata_s = None
         self._joystick_s = now_s  # newest message of any joystick; silence counts from the start
-        self._joysticks_once = set()  # senders that were heard once: beside others, they owe no second message
-        self._joysticks_s = {}  # {sender that was heard again: when it was last}
+        self._joysticks_once = set()  # senders heard at least once: a second message is not expected of them
+        self._joysticks_s = {}  # {sender heard more than once: when it was heard last}
         self._airborne = False
         self._battery_pct = None
         self._battery_low = Lasting()
         self.fence = Fence(limits, vehicle_type)
         self._outside, self._leaves = Lasting(), Lasting()
         self._left_s = -math.inf  # when it could not stop in time last
-        self._fence_since_s = self._fence_ended_s = -math.inf  # when the fence held it
-        self._fence_again = False  # shortly before it did so, too
+        self._fence_since_s = self._fence_ended_s = -math.inf  # when the fence began and ceased to hold it
+        self._fence_again = False  # the fence had held it shortly before, too
         self._look = ALONE
         self._near = Lasting()
-        self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
-        self._lost_since_s = math.inf  # since when it holds without a break for what it flies on
+        self._apart_since_s, self._apart_reason = None, ""  # since when and why it holds because of other vehicles
+        self._lost_since_s = math.inf  # since when it has held without a break because of `LOSSES`
         self._position_m = None
         self._land_since_s = None
 
     def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s, pushes=(), lands=False):
         """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame.
 
-        pushes: accelerations (3,) [m/s^2] that its tilt makes, or will make.  lands: by itself; nobody can hold it.
+        pushes: accelerations (3,) [m/s^2] that its tilt makes, or will make.  lands: it lands by itself and cannot be
+        held.
         """
         self.state.note(age_at_arrival_s, now_s)
         self.suspect = ""
@@ -163,7 +163,7 @@ class SafetyLadder:
         self.suspect, self._suspect_s = reason, now_s
 
     def note_command(self, finite, saturated, now_s):
-        """The controller has sent a command. finite: of numbers.  saturated: of a full scale of tilt or thrust."""
+        """The controller has sent a command. finite: all numbers are.  saturated: at full scale of tilt or thrust."""
         if not finite:
             self._not_finite_s = now_s
         # while another rule holds the vehicle its reference goes on, and full tilt is to be expected
@@ -171,9 +171,9 @@ class SafetyLadder:
         self._saturated.note(finite and saturated and counts, now_s)
 
     def note_look(self, look, now_s):
-        """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
+        """Take the newest `separation.Look`: what it has to do about the other vehicles."""
         self._look = look
-        # Those that hold because of the same loss go on together: that the others still hold counts from then on.
+        # Vehicles that hold because of the same loss resume together: until then it does not count that others hold.
         is_lost = self.verdict.level == _HOLD and self.verdict.rule in LOSSES
         self._near.note(look.holds and not (is_lost and look.joins), now_s)
 
@@ -187,15 +187,15 @@ class SafetyLadder:
         return self._look._replace(aside=ALONE.aside) if stops else self._look
 
     def note_navdata(self, battery_pct, now_s):
-        """The vehicle reported itself; battery_pct: None when the report holds none."""
+        """A report of the vehicle arrived; battery_pct: None when it has none."""
         self._navdata_s = now_s
         if battery_pct is not None:
             self._battery_pct = battery_pct
             self._battery_low.note(self.battery_is_low(), now_s)
 
     def note_joystick(self, now_s, sender=""):
-        """A joystick said something; sender: which node it is from. Each that speaks must go on: one of them may be
-        the hand on the emergency stop.
+        """A joystick message arrived; sender: which node it is from. Every joystick that sends must keep sending: any
+        of them may be the one for the emergency stop.
         """
         self._joystick_s = now_s
         if sender in self._joysticks_once:
@@ -204,7 +204,7 @@ class SafetyLadder:
             self._joysticks_once.add(sender)
 
     def lost_joystick(self, now_s):
-        """Name of a joystick that spoke within the last minute, and is silent; None when there is none."""
+        """Name of a joystick that is silent, but was heard within the last minute; None when there is none."""
         for name, heard_s in self._joysticks_s.items():
             if self._is_silent(heard_s, now_s) and now_s - heard_s < _JOYSTICK_MEMORY_S:
                 return name
@@ -231,12 +231,12 @@ class SafetyLadder:
         return reason if level > _OK else ""
 
     def request_landing(self, now_s):
-        """Somebody wants it down: LAND, in every mode. One that lands already keeps its reason."""
+        """A landing was requested: LAND, in every mode. One that lands already keeps its reason."""
         if self.verdict.level != _LAND:
             self._set(_LAND, Rule.REQUEST, "landing was requested", None, now_s)
 
     def take_over(self):
-        """The operator flies: whatever was decided is taken back, and joysticks that are silent are missed no more."""
+        """The operator takes over: the level is OK again, and joysticks that are silent are no longer expected."""
         self._joysticks_s.clear()
         self._set(*_FINE, 0.0)
 
@@ -245,10 +245,10 @@ class SafetyLadder:
 
         autonomous: the controller flies.  airborne: the vehicle does not stand on the ground.  obeys: its newest
         report is that it lands; counts while that report is fresh.  needs_navdata: False for simulators that report
-        nothing.  held: of a vehicle that does not fly itself, which is held by what is seen and heard of it in manual
-        mode, too; it may obey by what is seen of it.  trouble: why our commands do not reach it.
+        nothing.  held: it does not fly itself: states and reports count in manual mode, too, and `obeys` may come from
+        its states.  trouble: why our commands do not reach it.
         """
-        if airborne and not self._airborne:  # whatever took off: these were known to be silent
+        if airborne and not self._airborne:  # it took off although these were known to be silent
             self._joysticks_s = {name: s for name, s in self._joysticks_s.items() if not self._is_silent(s, now_s)}
         self._airborne = airborne
         if not airborne:
@@ -312,7 +312,7 @@ class SafetyLadder:
                 rule, reason = Rule.SUSPECT, "%s: %s" % (reason, self.suspect)
             elif rule == Rule.CONTROLS and now_s - self._not_finite_s <= hold_s:
                 reason += ": the controller sends commands that are not finite"
-            # one that is always a little too late is as good as none: its reference goes on, through the others
+            # an input that is always a little too late counts as lost: the reference moves on, through other vehicles
             if age_s > land_s or now_s - self._lost_since_s >= land_s - hold_s > 0.0:
                 return _LAND, rule, reason, (age_s, min(age_s, land_s))
             hold = _HOLD, rule, reason, (age_s, hold_s)
@@ -345,10 +345,10 @@ class SafetyLadder:
             hold = (_HOLD, Rule.FENCE, reason, None) if hold is _FINE else hold
         if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
             return hold
-        # It stays: its reference has gone on, and it would follow that through the others.
+        # It keeps holding: its reference has moved on, and it would follow it through the others.
         held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
         waits = self._look.above and held_s < limits.separation_wait_s
         level = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
-        if level <= hold[0] and hold[1] != Rule.FENCE:  # which has no way out of the others'
+        if level <= hold[0] and hold[1] != Rule.FENCE:  # a HOLD of the fence moves it out of no other's way
             return hold
         return level, Rule.SEPARATION, self._look.reason or self._apart_reason, None

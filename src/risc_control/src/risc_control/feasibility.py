@@ -1,9 +1,9 @@
 """Whether the vehicles of a fleet can fly a course, and how fast at most. No ROS.
 
-By flatness a path says what a vehicle must do at every moment. What a course may ask of a type is `course_share` of the
-full scales of its commands, the rest is what the controller needs for errors, wind and what the type's numbers do not
-know, and `speed_max_m_s`. Along the whole of every path, with the acceleration a of the reference and that which makes
-up for the drag, the following are looked at (in this order: the first that is exceeded is named):
+By flatness a path determines what a vehicle must do at every moment. A course may use `course_share` of the full scales
+of a type's commands (the rest is the controller's, for errors, wind and errors of the model), and `speed_max_m_s`.
+Along the whole of every path, with the acceleration a of the reference, drag compensation included, these are checked
+(in this order: the first that is exceeded is named):
 
     place      inside the fence, and above the floor
     speed
@@ -13,7 +13,7 @@ up for the drag, the following are looked at (in this order: the first that is e
     jerk       the tilt that is commanded to make the attitude loop, which lags, follow: a + 2 zeta / wn a' + a'' / wn^2
     fence      whether a vehicle there, at that speed, could still stop inside it: else its node would hold it
 
-Of the same course flown faster each asks for more, so there is one greatest speed (`greatest_factor`).
+Each grows when the course is flown faster, so there is one greatest speed (`greatest_factor`).
 """
 
 import math
@@ -31,30 +31,30 @@ from risc_control.waypoints import Waypoints
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.fleet import widest_pair_m
 
-_STEP_S = 0.02  # of the times that are looked at; so many are at least, and at most
+_STEP_S = 0.02  # of the times that are checked; their least and greatest number
 _FEWEST, _MOST = 400, 5000
-_FENCE_EVERY = 4  # of these times
-_LEAST_HEIGHT_M = 0.3  # lower a controller takes a vehicle for one that stands (integral_min_height_m)
-_SLOWEST_WAYS = 0.5  # of ways to and from a slow course: the operator waits for them
-_RANGE = 1e-2, 1e2  # of factors that are looked for
-_DIGITS = 1e-3  # how well
+_FENCE_EVERY = 4  # stride in these times for the check of the fence
+_LEAST_HEIGHT_M = 0.3  # lower than this a controller assumes that a vehicle stands (integral_min_height_m)
+_SLOWEST_WAYS = 0.5  # factor of ways to and from a slow course: the operator waits for them
+_RANGE = 1e-2, 1e2  # of factors that are searched
+_DIGITS = 1e-3  # relative precision of the search
 
 _LEVEL = slice(Axis.X, Axis.Z)
 
 
 class Excess(NamedTuple):
-    """What a course asks for that a vehicle has not."""
+    """Demand of a course that a vehicle cannot meet."""
 
     type_name: str
-    text: str  # what, how much of it, and how much there is
+    text: str  # which, how much is needed, and how much is allowed
     time_s: float  # on the course
-    position_m: tuple  # there
+    position_m: tuple  # at that time
 
 
 def fleet_course(course, vehicles, arena, speed="", yaw=None, **numbers):
-    """(Course for FleetVehicles, how many times as fast as its own numbers say), which they can fly.
+    """(Course that FleetVehicles can fly, factor by which it is faster than by its own numbers).
 
-    course, numbers: as of `make_course`.  speed: as of `speed_factor`.  yaw: a YawProgram instead of its own, or None.
+    course, numbers: see `make_course`.  speed: see `speed_factor`.  yaw: a YawProgram instead of its own, or None.
     Raises ValueError as `course_for_fleet`, `speed_factor` and `check_course`.
     """
     made = course_for_fleet(course, len(vehicles), arena, widest_pair_m(vehicles), **numbers).with_yaw(yaw)
@@ -68,10 +68,10 @@ def fleet_course(course, vehicles, arena, speed="", yaw=None, **numbers):
 
 
 def fleet_ways(limits, vehicles, factor=1.0):
-    """WayLimits for the ways of FleetVehicles to and from a course that is flown so many times as fast as it says.
+    """WayLimits for the ways of FleetVehicles to and from a course that is flown `factor` times as fast.
 
-    They are as much faster or slower, but no slower than half, and ask for at most half of what the vehicles can do,
-    unless the limits ask for more. A course that asks for more has ways that ask for that.
+    The ways are faster or slower by the same factor, but no slower than half. They use at most half of what the
+    vehicles can do, unless `limits` allow more, or the course itself needs more.
     """
     types, faster = _types(vehicles), max(_SLOWEST_WAYS, factor)
     tilt_rad = min(kind.course_share * min(greatest_command(kind)[:2]) for kind in types)
@@ -92,10 +92,10 @@ def fleet_ways(limits, vehicles, factor=1.0):
 
 
 def check_course(course, vehicles, arena, faster=1.0):
-    """Raises ValueError, a line, when a Course cannot be flown by FleetVehicles, any of which may fly any of its paths.
+    """Raise ValueError, of one line, if FleetVehicles cannot fly a Course; any of them may fly any of its paths.
 
-    It names what is asked for, where, and the greatest speed at which the course can be flown.  faster: how many times
-    as fast it is as its own numbers say.
+    It names what is exceeded, where, and the greatest speed at which the course can be flown.  faster: factor by which
+    the course is faster than by its own numbers.
     """
     sampled, fences = _Sampled(course), _fences(vehicles, arena)
     excess = sampled.excess(fences)
@@ -112,7 +112,7 @@ def check_course(course, vehicles, arena, faster=1.0):
 
 
 def greatest_factor(course, vehicles, arena):
-    """How many times as fast as it is FleetVehicles can fly a Course at most, up to 100; 0: not at any speed."""
+    """Greatest factor by which FleetVehicles can fly a Course faster than it is, up to 100; 0: not at any speed."""
     return _greatest_factor(_Sampled(course), _fences(vehicles, arena))
 
 
@@ -139,7 +139,7 @@ def _types(vehicles):
 
 
 class _Sampled:
-    """A course at times over its period. So many times as fast each derivative grows by a power of that."""
+    """A course sampled over its period. Flown faster, each derivative grows by a power of the factor."""
 
     def __init__(self, course):
         count = min(max(_FEWEST, math.ceil(course.period_s / _STEP_S)), _MOST)
@@ -147,7 +147,7 @@ class _Sampled:
         self._paths = [path.at(self._times, Order.SNAP) for path in course.paths]
 
     def excess(self, fences, factor=1.0):
-        """Excess of the first type that cannot fly one of the paths so many times as fast; None: all can all of them.
+        """Excess of the first type that cannot fly one of the paths `factor` times as fast; None: all types can.
 
         fences: {VehicleType: Fence}.
         """
@@ -163,12 +163,12 @@ class _Sampled:
 
 
 def _excess(derivatives, vehicle_type, fence):
-    """(text, number of the time) of what a path (5, t, 4) asks for that a vehicle has not; None: nothing."""
+    """(text, index of the time) of the first limit that a path (5, t, 4) exceeds; None: none."""
     share, most = vehicle_type.course_share, greatest_command(vehicle_type)
     position, velocity = derivatives[Order.POSITION], derivatives[Order.VELOCITY]
     lift_m_s2 = GRAVITY_M_S2 + derivatives[Order.ACCELERATION, :, Axis.Z]
     drag_1_s = vehicle_type.drag_n_s_m / vehicle_type.mass_kg
-    # the level acceleration that the tilt makes, with two derivatives
+    # the horizontal acceleration by tilt, with two derivatives
     level = derivatives[Order.ACCELERATION :, :, _LEVEL] + drag_1_s * derivatives[Order.VELOCITY : -1, :, _LEVEL]
     commands = [_through(level, loop) for loop in (vehicle_type.roll, vehicle_type.pitch)]
 
@@ -198,13 +198,13 @@ def _excess(derivatives, vehicle_type, fence):
 
 
 def _through(level, loop):
-    """Acceleration to command so that an attitude loop makes an acceleration (3, t, 2), given with two derivatives."""
+    """Acceleration to command so that an attitude loop makes this one (3, t, 2), given with two derivatives."""
     wn = loop.natural_frequency_rad_s
     return level[0] + 2.0 * loop.damping_ratio / wn * level[1] + level[2] / wn**2
 
 
 def _misplaced(position, fence):
-    """(text, number of the time) where a path (t, 4) leaves the room; None: nowhere."""
+    """(text, index of the time) at which a path (t, 4) leaves the room; None: it does not."""
     low = int(position[:, Axis.Z].argmin())
     if position[low, Axis.Z] < _LEAST_HEIGHT_M:
         return "it leads lower than %.1f m" % _LEAST_HEIGHT_M, low

@@ -1,18 +1,18 @@
-"""The fence: whether a vehicle can still stop in the room that the net leaves it. No ROS.
+"""The fence: whether a vehicle can still stop in the room inside the net. No ROS.
 
-Its centre must stay `fence_margin_m` from the net; that of one that reaches farther than an AR.Drone as much farther.
-Towards each side of that room, at the speed v and the acceleration a outwards, it goes on for
+Its centre must stay `fence_margin_m` from the net, and farther by what it reaches farther than an AR.Drone.
+Towards each side of that room, at the outward speed v and acceleration a, its stopping distance is
 
     d = v t + a p (t - p/2) + (v + a p)^2 / (2 b)
 
-t is the time until it brakes fully: the ladder looks and is sure (`fence_delay_s`), the command waits for its turn, it
-comes through the link, and the attitude loop turns the tilt over; p is the same with half the turn. Where commands
-change at a limited rate (`Adapter.swing_s`), both are longer by that. a is what its tilt makes, or the tilt that it was
-told last if that is worse. b is a part of what the tilt makes with which it is braked (`braking`), of a vehicle that
-does not fly itself that of the place that is held (`hover`).
+t is the time until it brakes fully: the ladder confirms (`fence_delay_s`), the command waits for its slot and passes
+the link, and the attitude loop reverses the tilt; p is the same with half the time of that reversal. Where commands
+change at a limited rate (`Adapter.swing_s`), both are longer by that. a is the acceleration by its tilt, or by the last
+commanded tilt if that is worse. b is a share of the acceleration by the tilt with which it is braked (`braking`); for a
+vehicle that does not fly itself it is the acceleration of the place that is held (`hover`).
 
-Upwards a is 0, and its climb loop brakes. One that does not fly itself has none: a is what its thrust makes, and the
-floor is a side of the room, too. All that is the type's data.
+Upwards a is 0, and its climb loop brakes. A vehicle that does not fly itself has no climb loop: a is the acceleration
+by its thrust, and the floor is a side of the room, too. All of this is from the type's data.
 """
 
 import math
@@ -23,14 +23,14 @@ from risc_control.vehicles import adapter_class, greatest_command
 from risc_lab.frames import GRAVITY_M_S2
 
 _LOOK_S = 1.0 / 60.0
-_TURNS = 1.5  # times 2 zeta / wn, by which an attitude loop lags behind: until a tilt is turned over
-_STILL = ((0.0,), (0.0,), (0.0,))  # pushes of nothing, by axis
-_FLOOR_M = 0.2  # lowest height of one that does not fly itself, cortex frame; it may land, but not be flown there
-_COUNTED_ON = 0.7  # of the deceleration that a tilt makes
+_TURNS = 1.5  # times 2 zeta / wn, the lag of an attitude loop: time until a tilt is reversed
+_STILL = ((0.0,), (0.0,), (0.0,))  # no pushes, by axis
+_FLOOR_M = 0.2  # lowest height of one that does not fly itself, cortex frame; below it may only land
+_COUNTED_ON = 0.7  # share of the deceleration by a tilt that is counted on
 
 
 class Fence:
-    """That of one vehicle."""
+    """The fence of one vehicle."""
 
     def __init__(self, limits, vehicle_type):
         """limits: SafetyLimits.  vehicle_type: VehicleType."""
@@ -62,7 +62,7 @@ class Fence:
         return any(not low <= at <= high for at, (low, high) in zip(position_m, self._room_m))
 
     def stop_m(self, axis, speed_m_s, push_m_s2=0.0):
-        """How far it goes on at a speed and an acceleration outwards, until it has stopped."""
+        """Stopping distance [m] at an outward speed and acceleration."""
         brakes_s, pushed_s, brakes_m_s2 = self._stops[axis]
         swings_s = self._swing_s3_m * max(0.0, push_m_s2)
         pushed_s += 0.5 * swings_s
@@ -71,7 +71,7 @@ class Fence:
         return max(0.0, coasts_m) + 0.5 * max(0.0, speed_m_s + gains_m_s) ** 2 / brakes_m_s2
 
     def leaves(self, position_m, velocity_m_s, pushes=()):
-        """Whether it cannot stop in the room any more. All (3,), cortex frame; of `pushes` the worst counts."""
+        """Whether it can no longer stop in the room. All (3,), cortex frame; of `pushes` the worst counts."""
         by_axis = zip(position_m, velocity_m_s, tuple(zip(*pushes)) or _STILL, self._flown_m)
         for axis, (at_m, speed_m_s, push_m_s2, (low, high)) in enumerate(by_axis):
             if at_m + self.stop_m(axis, speed_m_s, max(push_m_s2)) > high:
@@ -82,7 +82,7 @@ class Fence:
 
 
 def pushed_m_s2(phi_rad, theta_rad, psi_rad, up=1.0):
-    """(3,) acceleration, cortex frame, that a tilt makes. up: the part of the thrust that carries it, in weights."""
+    """(3,) acceleration, cortex frame, by a tilt. up: the vertical part of the thrust, in weights."""
     forward, right = -up * _pushes(theta_rad), up * _pushes(phi_rad)
     cosine, sine = math.cos(psi_rad), math.sin(psi_rad)
     return forward * cosine - right * sine, -forward * sine - right * cosine, (up - 1.0) * GRAVITY_M_S2

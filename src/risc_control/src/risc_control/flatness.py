@@ -50,7 +50,7 @@ def limit_tilt(f, tilt_max_rad):
 
     The vertical part is kept, at least MIN_UP_M_S2, and the horizontal part is shortened, so height has priority.
     """
-    up = MIN_UP_M_S2 if f.up < MIN_UP_M_S2 else f.up  # what is not a number stays so: `flat_inputs` refuses it
+    up = MIN_UP_M_S2 if f.up < MIN_UP_M_S2 else f.up  # NaN stays NaN: `flat_inputs` refuses it
     horizontal, allowed = math.hypot(f.north, f.east), up * math.tan(tilt_max_rad)
     if not horizontal > allowed:
         return Acceleration(f.north, f.east, up), False

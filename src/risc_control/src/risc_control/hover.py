@@ -1,22 +1,22 @@
 """Take-off, position hold and landing for a vehicle that does none of them by itself. No ROS.
 
-An AR.Drone takes off, hovers and lands when it is told to. A type whose adapter says that it does not
-(`vehicles.Adapter.FLIES_ITSELF`), as an IRIS+ in STABILIZE, is flown through all that by its vehicle node:
+An AR.Drone takes off, hovers and lands when it is told to. A type that does not (`vehicles.Adapter.FLIES_ITSELF` is
+False), such as an IRIS+ in STABILIZE, is flown through these phases by its vehicle node:
 
     STANDING -- take_off -> STARTING -- armed -> CLIMBING -- up -> HOLDING -- land -> LANDING -- disarmed -> STANDING
                                                                           stop: from anywhere in the air to STOPPED
 
-It is commanded by `PlaceHold`, HOLDING where an operator's sticks send it, or out of another vehicle's way. While a
-controller flies, nothing here commands.
+Commands come from `PlaceHold`; when HOLDING, its place moves by an operator's sticks, or out of another vehicle's way.
+While a controller flies, nothing here commands.
 
 While the vehicle follows its pilot's transmitter (`FlightState.PILOT`) nothing is ordered; what is sent would bring it
 to a stop. It stays the pilot's until an operator takes it back (`take_back`).
 
-The throttle that hovers is known badly (battery, load, propellers). `ClimbObserver` learns the error in the air,
-whoever flies, and the adapter adds it to every command: it is the integral of this hold, and no change of hands
-changes it.
+The hover throttle is known badly (battery, load, propellers). `ClimbObserver` learns the error in the air, whoever
+flies, and the adapter adds it to every command: it is the integral action of this hold, and is kept when control passes
+to a controller and back.
 
-Without states it goes on by the model of its climb (`BlindHeight`): HOLDING at the height at which it was seen last,
+Without states it continues by the model of its climb (`BlindHeight`): HOLDING at the height at which it was seen last,
 LANDING down to the floor.
 """
 
@@ -32,26 +32,26 @@ from risc_control.vehicles import Command, FlightState
 from risc_lab.frames import GRAVITY_M_S2
 
 HEIGHT_M = 1.0  # of the hold after a take-off, cortex frame,
-LEAST_CLIMB_M = 0.5  # and at least so far above the place where it stood
+LEAST_CLIMB_M = 0.5  # but at least this far above where it stood
 CLIMB_M_S, DESCENT_M_S = 0.5, 0.4
 SLOW_DESCENT_M_S, SLOW_BELOW_M = 0.2, 0.3  # the last part of a landing
-HAND_M_S = 0.6  # of the place, at full stick
+HAND_M_S = 0.6  # speed of the place at full stick
 LEAST_HEIGHT_M = 0.3  # an operator's sticks bring it no lower: landing is a button
 ARMED_WITHIN_S, UP_WITHIN_S = 6.0, 10.0
-WIRE_S = 0.5  # nothing heard of the wire that commands go through: nothing is known of it
-STANDS_S = 0.3  # it does not sink although it should, for so long: it stands, or
-STUCK_S = 1.5  # where no floor is, its thrust is not ours
+WIRE_S = 0.5  # nothing heard of the transmitter for this long: it may not send our commands
+STANDS_S = 0.3  # it does not sink although it should, for this long: it stands, or
+STUCK_S = 1.5  # for this long away from the floor: its thrust is not ours
 DISARM_AGAIN_S = 0.5
 HAS_PILOT = "its pilot flies it by the transmitter (trainer switch)"
-BLIND_BELOW_M = 0.3  # a landing without states is reckoned to the floor, and so far on
+BLIND_BELOW_M = 0.3  # a landing without states is continued by the model to this far below the floor
 
 _SPIN_UP_S, _SPIN_UP_FROM, _SPIN_UP_TO = 1.0, 0.2, 0.9  # thrust while it still stands, of the weight
-_LIFTED_M, _FLOOR_M = 0.08, 0.2  # higher than it stood: it flies; lower: what stops it is the floor
-_IN_AIR_M = 0.3  # an armed vehicle of which nothing else is known flies when it is higher
+_LIFTED_M, _FLOOR_M = 0.08, 0.2  # this far above where it stood it flies; lower than this the floor may stop it
+_IN_AIR_M = 0.3  # an armed vehicle is taken to fly when it is higher, if nothing else is known
 _STILL_M_S, _SINKS_M_S = 0.08, 0.1
-_NEARLY_M, _THERE_M = 0.1, 0.03  # below the height of a take-off it is up, when the place that is held is as near
+_NEARLY_M, _THERE_M = 0.1, 0.03  # a take-off is done when vehicle and place are this near below its height
 
-_NEW_S = 0.2  # without a command of the hold: it begins anew
+_NEW_S = 0.2  # after this time without a command the hold starts again
 
 
 class Phase(Enum):
@@ -67,32 +67,32 @@ _IN_AIR = frozenset((Phase.CLIMBING, Phase.HOLDING, Phase.LANDING, Phase.STOPPED
 
 
 class Hover:
-    """One vehicle. Times: seconds of a clock that never steps."""
+    """One vehicle. Times: seconds of a monotonic clock."""
 
     def __init__(self, vehicle_type, sent, hold_s, braking):
-        """sent: HISTORY of what it was sent.  hold_s: an older state is not flown on.  braking: its Braking."""
+        """sent: HISTORY of what it was sent.  hold_s: an older state is not used.  braking: its Braking."""
         self.phase = Phase.STANDING
-        self.reported = None  # FlightState by the vehicle's own word, None before the first
-        self.has_pilot = False  # who flies it by its transmitter
+        self.reported = None  # FlightState that the vehicle reports, None before the first
+        self.has_pilot = False  # its pilot flies it by the transmitter
         self._trims = deque(maxlen=12)  # of the last seconds: newer ones may be learnt from a pilot's throttle
         self.observer = ClimbObserver(vehicle_type, sent)
         self._mass_kg, self._hold_s = vehicle_type.mass_kg, hold_s
-        self._own, self._own_s = None, -math.inf  # newest that was seen, or what the model says of it since
+        self._own, self._own_s = None, -math.inf  # newest state that was seen, or the model's since
         self._braking = braking
         self._floor_m = None  # height at which it was seen to stand
-        self._wire_s = -math.inf  # when its wire for commands worked last
-        self._since_s = self._disarm_s = -math.inf  # begin of the phase; when disarming was ordered
+        self._wire_s = -math.inf  # when its transmitter last reported that it sends our commands
+        self._since_s = self._disarm_s = -math.inf  # start of the phase; when disarming was ordered
         self._still_s = None  # since when it does not sink although it should
         self._sinks_s = -math.inf  # when it sank last
-        self._stands = False  # it has landed, as far as can be seen
+        self._stands = False  # it is seen to have landed
         self._blind, self._hold = BlindHeight(self.observer), PlaceHold(vehicle_type.mass_kg)
-        self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
+        self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; the same, while it was seen
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
     def on_status(self, status, now_s):
-        """The vehicle reported its `vehicles.Status`; of states it knows LANDED (motors off), FLYING (takes our
-        commands), LANDING (by itself) and others, in which it does not take them.
+        """The vehicle reported its `vehicles.Status`. States: LANDED (motors off), FLYING (takes our commands), LANDING
+        (by itself) and others, in which it does not take them.
         """
         state = status.state
         if state == FlightState.UNKNOWN:
@@ -123,13 +123,13 @@ class Hover:
             self._meet(now_s)
 
     def _meet(self, now_s):
-        """Take over a vehicle that is seen to fly already: this node is new, or was given it."""
+        """Take over a vehicle that is seen to fly already: this node has just started, or was handed it."""
         armed = self.reported not in (None, FlightState.LANDED)
         if self.phase is Phase.STANDING and armed and self._flies(now_s):
             self._enter(Phase.LANDING if self.reported == FlightState.LANDING else Phase.HOLDING, now_s)
 
     def on_wire(self, now_s):
-        """What sends our commands to it reports that it does."""
+        """Its transmitter reports that it sends our commands."""
         self._wire_s = now_s
 
     def on_state(self, own, measured_s):
@@ -144,7 +144,7 @@ class Hover:
         self._meet(measured_s)
 
     def feel_height(self, height_m, climb_m_s, measured_s, now_s):
-        """It says that it had this height, by a zero of its own, and climb rate."""
+        """It reports its height, above a zero of its own, and climb rate, both at measured_s."""
         seen = None
         if self._is_seen(now_s):
             rises_m_s = self._own.velocity_m_s[2]
@@ -166,10 +166,10 @@ class Hover:
         self._enter(Phase.STARTING, now_s)
 
     def refuse(self, why, now_s, orders):
-        """It does not arm itself."""
+        """It refuses to arm."""
         if self.phase is Phase.STARTING:
             orders.say("warn", "take-off refused: %s" % why)
-            orders.disarm = True  # what told it to may be under way still
+            orders.disarm = True  # the order to arm may still be under way
             self._enter(Phase.STANDING, now_s)
 
     def take_back(self):
@@ -179,7 +179,7 @@ class Hover:
         return not self.has_pilot
 
     def land(self, now_s):
-        """Come down; one that is not armed yet does not take off."""
+        """Land; one that is not armed yet does not take off."""
         if self.phase in (Phase.CLIMBING, Phase.HOLDING):
             if self.reported == FlightState.PILOT:
                 self.take_back()
@@ -188,7 +188,7 @@ class Hover:
             self._enter(Phase.STANDING, now_s)
 
     def hold(self, now_s):
-        """No landing any more, but one that the vehicle makes by itself."""
+        """Cancel a landing, unless the vehicle lands by itself."""
         if self.phase is Phase.LANDING and not self._stands and self.reported == FlightState.FLYING:
             self._enter(Phase.HOLDING, now_s)
 
@@ -200,21 +200,21 @@ class Hover:
 
     @property
     def airborne(self):
-        """It may be in the air."""
+        """True if it may be in the air."""
         return self.phase in _IN_AIR
 
     @property
     def own(self):
-        """`vehicle_pilot.OwnState` for the command that was just asked for; None before it was seen."""
+        """`vehicle_pilot.OwnState` that the last command is for; None before it was seen."""
         return self._own
 
     @property
     def landing(self):
-        """It was told to come down."""
+        """True if it was told to land."""
         return self.phase is Phase.LANDING
 
     def flight_state(self, autonomous):
-        """FlightState for everybody; None before the first report. autonomous: a controller flies where it may."""
+        """FlightState to report to others; None before the first report. autonomous: a controller may fly it."""
         state, phase = self.reported, self.phase
         if state is None or (self.has_pilot and self.airborne):
             return state
@@ -229,7 +229,7 @@ class Hover:
         return _STATES[phase]
 
     def trouble(self, now_s):
-        """What is wrong with the wire that commands go through, in a few words; "" when nothing is."""
+        """What is wrong with the transmitter of our commands, in a few words; "" when nothing is."""
         silent_s = now_s - self._wire_s
         if silent_s <= WIRE_S:
             return ""
@@ -237,8 +237,8 @@ class Hover:
         return "the board of its transmitter does not say that it sends our commands (%s)" % since
 
     def must_be_silent(self, now_s):
-        """It lands unseen, and by reckoning it is down: who knows better is its own failsafe, which lands or disarms
-        it as soon as nothing is sent. Or its pilot has it, and it is not seen: it is nobody's who gives it back.
+        """True if it lands unseen and is down by the model: its own failsafe knows better, and lands or disarms it as
+        soon as nothing is sent. Also if its pilot flies it and it is not seen: nobody could fly it if he gave it back.
         """
         if self.has_pilot and not self._is_seen(now_s):
             return True
@@ -246,21 +246,21 @@ class Hover:
 
     @property
     def lands_itself(self):
-        """By its own report it lands, or stands."""
+        """True if it reports that it lands or stands."""
         return self.reported in (FlightState.LANDED, FlightState.LANDING)
 
     def obeys_landing(self, now_s, is_heard):
-        """It lands by its own report, or it is seen to sink, or to stand; in the beginning it need not yet.
+        """True if it lands by its own report, or is seen to sink or to stand; at the beginning it need not sink yet.
 
-        is_heard: its newest report still tells what it does.
+        is_heard: its newest report is still fresh.
         """
         sinks = now_s - max(self._sinks_s, self._since_s) < STUCK_S
         is_seen = self._is_seen(now_s) and (self._stands or sinks)
         return self.phase is Phase.LANDING and (is_seen or (is_heard and self.lands_itself))
 
     def must_land_itself(self, now_s):
-        """We cannot land it: it is not seen, it does not take our commands, or they do not bring it down. What its
-        pilot flies is the pilot's to land.
+        """True if we cannot land it: it is not seen, it does not take our commands, or they do not bring it down. If
+        its pilot flies it, the pilot lands it.
         """
         if self.has_pilot:
             return False
@@ -271,7 +271,7 @@ class Hover:
     # --- what follows -------------------------------------------------------------------------------------------
 
     def step(self, now_s, orders):
-        """What time brings. orders: vehicle_pilot.Orders."""
+        """Advance the phases by time. orders: vehicle_pilot.Orders, to add to."""
         lasts_s = now_s - self._since_s
         if self.phase is Phase.STARTING and self.has_pilot:
             self.refuse(HAS_PILOT, now_s, orders)
@@ -290,7 +290,7 @@ class Hover:
                 self._disarm_s, orders.disarm = now_s, True
 
     def command(self, now_s, velocity_m_s=(0.0, 0.0, 0.0), yaw_rate_rad_s=0.0, waits=False):
-        """`Command` of now; None: the throttle at its lowest.
+        """`Command` to send now; None: the throttle at its lowest.
 
         velocity_m_s: of the place that is held, cortex frame.  yaw_rate_rad_s: of its heading, + clockwise.
         waits: the next state may only be late: it is level, and not braked.
@@ -314,7 +314,7 @@ class Hover:
         return self._hold.command(self._own, min(step_s, _NEW_S), velocity_m_s, yaw_rate_rad_s, leash_m)
 
     def _climb_m_s(self, wanted_m_s):
-        """At which the place that is held is to climb."""
+        """Climb rate of the place that is held."""
         if self.phase is Phase.LANDING:
             return -SLOW_DESCENT_M_S if self._blind.height_m < SLOW_BELOW_M else -DESCENT_M_S
         if self.phase is Phase.CLIMBING:
@@ -322,7 +322,7 @@ class Hover:
         return max(wanted_m_s, -stops_m_s(self._hold.height_m - LEAST_HEIGHT_M))
 
     def _unseen(self, now_s, step_s, climb_m_s, waits):
-        """`Command` without states: to a stop, and at this climb rate or at the height that it has, by the model."""
+        """`Command` without states, by the model: to a stop, at this climb rate or holding the height."""
         rates = {Phase.HOLDING: None, Phase.LANDING: climb_m_s}
         up_m_s2 = self._blind.advance(now_s, step_s, rates.get(self.phase, 0.0))
         brake = self._braking.command(now_s)
@@ -338,7 +338,7 @@ class Hover:
         return now_s - self._own_s <= self._hold_s
 
     def _height_m(self):
-        """Above the place where it stood, as far as that is known."""
+        """Height above where it stood, or above z = 0 if that is not known."""
         return self._own.position_m[2] - (self._floor_m or 0.0)
 
     def _top_m(self):
@@ -349,7 +349,7 @@ class Hover:
         return self._is_seen(now_s) and min(self._own.position_m[2], self._height_m()) > _IN_AIR_M
 
     def _look_for_the_floor(self, now_s):
-        """While it lands: does it stand?"""
+        """While it lands: find out whether it stands."""
         if not self._is_seen(now_s):
             self._still_s = None
             return

@@ -1,6 +1,6 @@
-"""What a joystick message means (Appendix C): buttons by edge, sticks in manual mode, what is too late. No ROS.
+"""Meaning of joystick messages (Appendix C): button edges, sticks in manual mode, messages that are too late. No ROS.
 
-The names of the parameters are those of the original release; house names are used inside.
+The names of the parameters are those of the original release; inside, our own names are used.
 """
 
 import enum
@@ -13,8 +13,8 @@ from risc_lab.message_age import MessageAges
 from risc_lab.settings import Count, NotNegative, Positive, Settings
 
 LATE_S = 0.3  # [s] a joystick message older than this when it arrives is not current
-_FIRST_S = 1.0  # after its start a node hears a joystick that repeats what it says
-_CLOCK_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these
+_FIRST_S = 1.0  # [s] within this time of its start a node hears a joystick that repeats its messages
+_CLOCK_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages count as late for one to two of these
 
 
 class Button(enum.Enum):
@@ -62,7 +62,7 @@ class JoystickParams(Settings):
     ScalePitch: Positive = 1.0  # [-]
     ScaleYaw: Positive = 1.0  # [-]
     ScaleZ: Positive = 1.0  # [-]
-    # [s] a joystick silent: its sticks centred (run joy_node with autorepeat_rate 20); 0 = off: the last message stays
+    # [s] silent for longer: sticks count as centred (run joy_node with autorepeat_rate 20); 0 = off: last message stays
     stick_timeout: NotNegative = 0.5
     joystick_late_s: Positive = LATE_S  # [s] a message older than this when it arrives is not obeyed
 
@@ -76,17 +76,17 @@ class JoystickParams(Settings):
 
 
 class Edges(NamedTuple):
-    """What one message of a joystick says of its buttons: frozensets."""
+    """Buttons of one joystick message."""
 
-    held: frozenset  # that are down
-    pressed: frozenset  # that went down with this message
-    belated: frozenset  # that are down, and were pressed in an earlier message that came too late
+    held: frozenset  # are down
+    pressed: frozenset  # went down with this message
+    belated: frozenset  # are down, and were pressed in an earlier message that came too late
     late: bool  # this message is too old to act on
     age_s: float
 
     @property
     def in_time(self):
-        """Those pressed that may be acted on."""
+        """Pressed buttons that may be acted on."""
         return frozenset() if self.late else self.pressed
 
 
@@ -94,9 +94,9 @@ class ButtonEdges:
     """Finds the edges of one joystick's buttons.
 
     A button that is down in the very first message counts as pressed: joy_node publishes on change only, so the first
-    message a node sees often *is* the press. What goes down with a late message and is still down in the next one in
-    time is `belated` there, once; so is what is down in a first message that comes as soon as a node listens, which may
-    have been started again while somebody holds the button.
+    message a node sees often *is* the press. A button that goes down with a late message and is still down in the next
+    one in time is `belated` there, once. So is one that is down in a first message right after the node has started: it
+    may have been restarted while somebody holds the button.
     """
 
     def __init__(self, late_s=LATE_S, listens_since_s=-math.inf):
@@ -107,7 +107,7 @@ class ButtonEdges:
     def update(self, held, age_s, now_s):
         """`Edges` of a message with these buttons down (frozenset).
 
-        age_s: by the message's stamp [s]; 0 when it has none.  now_s: of a clock that never steps.
+        age_s: by the message's stamp [s]; 0 when it has none.  now_s: of a monotonic clock.
         """
         age_s = self._ages.corrected(age_s, now_s)
         edges = Edges(held, held - self._held, self._belated & held, age_s > self._late_s, age_s)
@@ -132,8 +132,8 @@ class Joystick:
     def update(self, buttons, axes, now_s=0.0, age_s=0.0):
         """`Edges` of `Button`, after a message.
 
-        buttons: ints, axes: floats (+ left, + forward) of a Joy message, as many as there happen to be. What is not
-        there counts as released or centred.  now_s, age_s: see `ButtonEdges`.
+        buttons: ints, axes: floats (+ left, + forward) of a Joy message, any number of them. Missing ones count as
+        released or centred.  now_s, age_s: see `ButtonEdges`.
         """
         self.problems, p = [], self._params
         held = frozenset(button for button in Button if self._value(buttons, "buttons", button.value))
@@ -162,9 +162,9 @@ class Joystick:
 
 
 class ButtonPresses:
-    """When a few buttons go down, for nodes that listen for nothing else.
+    """Detects presses of a few buttons, for nodes that need nothing else of a joystick.
 
-    Every sender has edges and a clock of its own: beside a virtual operator, which sends all the time, a button that a
+    Edges and ages are kept per sender: otherwise, beside a virtual operator that sends all the time, a button that a
     person holds would be a new press with every message.
     """
 
@@ -174,7 +174,7 @@ class ButtonPresses:
         self._senders = defaultdict(lambda: ButtonEdges(late_s))
 
     def update(self, values, now_s=0.0, age_s=0.0, sender=""):
-        """`Edges` of a message with these button values (0 or 1 each), as many as there happen to be.
+        """`Edges` of a message with these button values (0 or 1 each), any number of them.
 
         now_s, age_s: see `ButtonEdges`.  sender: any key.
         """

@@ -1,7 +1,7 @@
-"""The delay compensation by itself, of a whole fleet: where vehicles will be when a command sent now takes effect.
+"""Delay compensation of a whole fleet, without a controller: predicted states when a command sent now takes effect.
 
 The prediction is that of the controllers (`delay_prediction`) without what they learn in flight: the nominal model and
-the commands that were really sent, the last of which is taken to hold. Needs no ROS.
+the commands actually sent, the last of which is taken to stay in force. Needs no ROS.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from risc_lab.compiled import compiled
 from risc_lab.frames import wrap_one_angle
 from risc_lab.states import S, States
 
-_KNOWN_S = 0.5  # a vehicle that was sent nothing for so long is not flown by commands that anybody tells
+_KNOWN_S = 0.5  # a vehicle that was sent nothing for this long follows no commands that are known
 
 
 class LagCompensator:
-    """Of n vehicles. `sent`: CommandHistory, for the caller to fill; `delay_s` (n,) [s]: see `plants`."""
+    """Predictor for n vehicles. `sent`: CommandHistory, for the caller to fill; `delay_s` (n,) [s]: see `plants`."""
 
     def __init__(self, vehicle_types):
         """vehicle_types: VehicleType of each. Raises ValueError when the delay of one cannot be predicted."""
@@ -24,13 +24,13 @@ class LagCompensator:
         self._kinds, self._plants = np.array([types.index(kind) for kind in vehicle_types]), plants(types)
         self.sent, self.delay_s = CommandHistory(len(vehicle_types)), self._plants["delay_s"][self._kinds]
         none = np.zeros(len(vehicle_types), dtype=bool)
-        self.ahead(0.0, 0.0, States(none, np.zeros((len(none), len(S)))))  # loads what is compiled
+        self.ahead(0.0, 0.0, States(none, np.zeros((len(none), len(S)))))  # loads the compiled code
 
     def ahead(self, stamp_s, now_s, states):
         """States of the visible vehicles when a command that is sent at now_s takes effect. states: States of stamp_s.
 
-        One that was sent nothing lately stays where it was seen. Raises ValueError when that is too far ahead to be
-        predicted.
+        A vehicle that was sent nothing lately stays where it was seen. Raises ValueError when that time is too far
+        ahead to be predicted.
         """
         age_s = max(0.0, now_s - stamp_s)
         if not age_s + self.delay_s.max() <= MAX_HORIZON_S:
@@ -42,7 +42,7 @@ class LagCompensator:
 
 @compiled
 def _ahead(stamp_s, age_s, kinds, plants, sent, visible, x):
-    """Brings the rows of x (n, 12) that are visible (n,) ahead."""
+    """Predict the visible (n,) rows of x (n, 12), in place."""
     most = 1
     for k in range(len(plants)):
         most = max(most, steps_of(age_s + plants[k].delay_s))

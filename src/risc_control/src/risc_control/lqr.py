@@ -6,14 +6,14 @@ All gains follow u = +K (x_reference - x), i.e. A - B K is stable (errata 6 and 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_are
 
-_PIVOT = 1e-9  # a mode counts as out of reach when [lambda I - A, B] is this close to losing rank
+_PIVOT = 1e-9  # a mode counts as uncontrollable when [lambda I - A, B] is this close to losing rank
 
 
 def lqr_gain(A, B, Q, R):
     """Gain (m, n) that minimises the integral of x'Qx + u'Ru subject to x' = A x + B u.
 
     A: (n, n).  B: (n, m).  Q: (n, n) or its diagonal (n,), positive semidefinite.  R: (m, m) or its diagonal (m,),
-    positive definite.  Raises ValueError that says which of them is wrong, or which mode no input reaches.
+    positive definite.  Raises ValueError that says which of them is wrong, or which mode is not controllable.
     """
     A, B = (np.array(matrix, dtype=float, ndmin=2) for matrix in (A, B))
     Q, R = (np.diag(weight) if np.ndim(weight) == 1 else np.array(weight, dtype=float, ndmin=2) for weight in (Q, R))
@@ -44,7 +44,7 @@ def lqi_gain(A, B, q_integral, Q, R):
 
 
 def _check_modes(A, B, concerned, what):
-    """Hautus' test: every eigenvalue that `concerned` picks must be within reach of B."""
+    """Hautus test: every mode whose eigenvalue `concerned` selects must be controllable from B."""
     scale = max(1.0, np.abs(A).max())
     for eigenvalue in np.linalg.eigvals(A):
         if concerned(eigenvalue):

@@ -1,13 +1,13 @@
-"""Smooth paths through waypoints: polynomials of degree 7 whose snap is least.
+"""Minimum-snap paths through waypoints: polynomials of degree 7.
 
 Between two waypoints each coordinate is the polynomial that has given values and three given derivatives at both ends.
-Of all derivatives that it may have at the waypoints those are flown for which the integral of the square of the snap is
-least: a linear system, in which a waypoint knows its neighbours only. The path is continuous to the sixth derivative.
+The derivatives at the waypoints are those for which the integral of the squared snap is least: a linear system in which
+each waypoint is coupled to its neighbours only. The path is continuous to the sixth derivative.
 
-The times between waypoints are those for which that integral is least for the time that the whole takes; its gradient
-is that with the derivatives as they are, since for these it is at its minimum.
+The times between waypoints are those that minimise that integral for a given total time; its gradient is taken with the
+derivatives fixed, since the integral is at its minimum with respect to them.
 
-In the scale of a piece the polynomial is one of its fraction u, 0 to 1, lowest power first.
+The polynomial of a piece is one of the fraction u of its duration, 0 to 1, lowest power first.
 """
 
 import math
@@ -22,13 +22,13 @@ from scipy.sparse.linalg import splu
 COEFFICIENTS = 8  # of a piece and a coordinate
 _DERIVATIVES = 4  # at a waypoint: the position to the jerk
 _POWERS = np.arange(_DERIVATIVES)
-_FRACTIONS = np.linspace(0.0, 1.0, 33)  # of a piece, where its speed is looked at
+_FRACTIONS = np.linspace(0.0, 1.0, 33)  # of a piece, where its speed is sampled
 _SNAP = 4
-_SPREAD = math.log(7.0)  # of chosen times, as a logarithm: with larger ratios their seventh powers leave no digits
+_SPREAD = math.log(7.0)  # limit of the logarithms of times: larger ratios to the seventh power lose all precision
 
 
 def _unit_piece():
-    """(8, 8) coefficients of each of the end values (value to jerk at 0, the same at 1), (8, 8) their snap squared."""
+    """((8, 8) coefficients for each of the end values (value to jerk at 0, then at 1), (8, 8) their squared snap)."""
     at_ends = np.zeros((2, _DERIVATIVES, COEFFICIENTS))
     for k in range(COEFFICIENTS):
         unit = np.eye(COEFFICIENTS)[k]
@@ -62,9 +62,9 @@ def reversed_pieces(coefficients):
 
 
 def best_durations(points, closed):
-    """(m,) times between points (n, c) of the path with the least snap for the time that it takes; their sum is 1.
+    """(m,) times between points (n, c) of the path with the least snap for a given total time; their sum is 1.
 
-    Two neighbours must not be at the same place.
+    Two neighbours must not coincide.
     """
     others = np.roll(points, -1, axis=0) if closed else points[1:]
     first = 0.5 * np.log(np.linalg.norm(others - points[: len(others)], axis=1))
@@ -76,18 +76,18 @@ def best_durations(points, closed):
 
 
 def greatest_speed(coefficients, durations_s):
-    """Of pieces (m, 8, c)."""
+    """Greatest speed along pieces (m, 8, c) that take durations_s (m,)."""
     slopes = [polyval(_FRACTIONS, polyder(piece)) / duration_s for piece, duration_s in zip(coefficients, durations_s)]
     return max(float(np.linalg.norm(slope, axis=0).max()) for slope in slopes)
 
 
 def _scales(durations_s):
-    """(m, 8): what end values become in the scale of a piece."""
+    """(m, 8) factors of the end values for derivatives by the fraction of a piece."""
     return np.tile(durations_s[:, None] ** _POWERS, 2)
 
 
 def _cost(logarithms, points, closed):
-    """(logarithm of the snap squared for a whole that takes 1, its gradient) of logarithms of times (m,)."""
+    """(logarithm of the squared snap, for a total time of 1; its gradient) by logarithms of times (m,)."""
     durations = np.exp(logarithms)
     scaled = _scales(durations)[..., None] * _end_values(points, durations, closed)  # (m, 8, c)
     each = np.einsum("mec,ef,mfc->m", scaled, _COST, scaled) / durations ** (2 * _SNAP - 1)
@@ -98,7 +98,7 @@ def _cost(logarithms, points, closed):
 
 
 def _end_values(points, durations_s, closed):
-    """(m, 8, c) values to jerks at the begin and at the end of each piece, of the path with the least snap."""
+    """(m, 8, c) values to jerks at the start and at the end of each piece, of the minimum-snap path."""
     n, m = len(points), len(durations_s)
     begin = np.arange(m)
     nodes = np.stack([begin, (begin + 1) % n], axis=1)

@@ -1,13 +1,13 @@
 """Motions of vehicles over time, with exact derivatives to any order, and smooth ways from one into another.
 
 A motion is a chain of links. Each link is a simple motion: the vehicle stands, coasts to rest, flies a sum of
-harmonics, polynomials or a tour of points; each but the first is also the blend into it from the links before. Links
-are records, so that compiled code evaluates a whole fleet in one call. It works with Taylor series about the time that
-is asked for: sums, products and quotients of series are exact, however many derivatives there are.
+harmonics, polynomials or a tour of points; each but the first also contains the blend into it from the links before.
+Links are records, so that compiled code evaluates a whole fleet in one call. It works with Taylor series about the
+requested time: sums, products and quotients of series are exact, however many derivatives there are.
 
 The rows of a link are (k, 4) complex: a rate r [1/s] and amplitudes x, y, z [m] of terms Re(amplitude exp(r t)), or,
-without a rate, the stops of a tour. Polynomials are flown one after the other, round and round; each has the row of its
-begin and duration [s], and then its coefficients, lowest power first, of psi [rad], x, y, z over the fraction of its
+without a rate, the stops of a tour. Polynomials are flown one after the other, cyclically; each has a row of its start
+and duration [s], and then its coefficients, lowest power first, of psi [rad], x, y, z over the fraction of its
 duration.
 
 Frame: cortex (x forward, y left, z up), metres, seconds. Yaw psi is + clockwise seen from above (NED sense), radians.
@@ -24,34 +24,34 @@ from risc_control.minimum_snap import COEFFICIENTS
 from risc_control.reference_buffer import MOST_ORDER, Axis, Order
 from risc_lab.compiled import compiled, record
 
-RAMP = 0.4  # fraction of a rising blend that leads up; as much leads down again
+RAMP = 0.4  # fraction of a rising blend that leads up; an equal one leads down again
 LINK = record(
     ("first", int),  # of its rows in the table, and how many
     ("rows", int),
     ("epoch_s", float),  # the link's own time counts from here
-    ("position_m", float, (3,)),  # added to what the rows say
+    ("position_m", float, (3,)),  # added to the motion by the rows
     ("rest_s", float),  # of a tour: at each stop,
     ("move_s", float),  # and from one to the next; 0: the rows are terms, or
-    ("pieces", int),  # so many polynomials
+    ("pieces", int),  # this number of polynomials
     ("yaw_rad", float),  # at the epoch
     ("yaw_rate_rad_s", float),
-    ("along_path", bool),  # the nose leads; the rest of the yaw is added
+    ("along_path", bool),  # the nose points along the path; the rest of the yaw is added
     ("smooth", int),  # order to which the moves of a tour, and the blend into this link, are continuous
     ("begin_s", float),  # of the blend into this link; -inf: no blend
     ("end_s", float),  # of its path
     ("yaw_end_s", float),  # of its yaw, which may take longer
     ("turn_rad", float, (6,)),  # polynomial over (time - begin_s) / (yaw_end_s - begin_s), lowest power first
-    ("rise_m", float),  # how much higher the blend leads than the line between the two motions
-    ("under_way", int),  # number that `Chains.calls` has during the blend,
+    ("rise_m", float),  # rise of the blend above the line between the two motions
+    ("under_way", int),  # number in `Chains.calls` during the blend,
     ("arrived", int),  # and after it
 )
 _NO_ROWS = np.zeros((0, 4), dtype=complex)
 _PIECE_ROWS = 1 + COEFFICIENTS
 _STOP_S = 1.0  # time constant with which a vehicle that drifts is brought to rest
-_SLOWEST_ALONG_PATH_M_S = 0.05  # below this speed a path has no direction worth turning the nose to
+_SLOWEST_ALONG_PATH_M_S = 0.05  # below this speed the nose does not follow the path
 
 # [n]: coefficients, lowest power first, of the polynomial of degree 2n + 1 from 0 to 1 whose first n derivatives are 0
-# at both ends. Of all such ways the integral of the square of its derivative n is least: [4] is the least-snap step.
+# at both ends. It minimises the integral of the square of derivative n: [4] is the minimum-snap step.
 _STEPS = np.zeros((MOST_ORDER + 1, 2 * MOST_ORDER + 2))
 for _n in range(MOST_ORDER + 1):
     for _k in range(_n + 1):
@@ -63,7 +63,7 @@ for _n in range(MOST_ORDER + 1):
 
 @compiled
 def _expand(polynomial, at, unit_s, series):
-    """Fill a Taylor series by time: that of a polynomial of time / unit_s, lowest power first, about at * unit_s."""
+    """Fill the Taylor series by time of a polynomial of time / unit_s, lowest power first, about at * unit_s."""
     series[:] = 0.0
     for power in range(len(polynomial) - 1, -1, -1):  # Horner's rule, with a series for the variable
         for d in range(len(series) - 1, 0, -1):
@@ -81,7 +81,7 @@ def _step(fraction, duration_s, smooth, series):
     series[:] = 0.0
     if fraction >= 1.0:
         series[0] = 1.0
-    elif fraction > 0.5:  # here the terms of the polynomial would cancel, so: 1 less the way back
+    elif fraction > 0.5:  # here the terms of the polynomial would cancel, so use 1 minus the reversed step
         _expand(_STEPS[smooth, : 2 * smooth + 2], 1.0 - fraction, -duration_s, series)
         for d in range(len(series)):
             series[d] = -series[d]
@@ -165,7 +165,7 @@ def _turn_along(series):
                 total -= rate[k] * (x[j] * x[d - k - j] + y[j] * y[d - k - j])
         rate[d] = total / square
         series[d + 1, Axis.PSI] -= rate[d] / (d + 1)
-    series[orders, Axis.PSI] = 0.0  # not known from so many derivatives of the path
+    series[orders, Axis.PSI] = 0.0  # would need one more derivative of the path
 
 
 @compiled
@@ -229,21 +229,21 @@ def _sample(links, counts, table, times_s, derivatives, calls):
 
 
 def step_values(fractions, smooth, derivative=0):
-    """The smooth way from 0 to 1 at fractions of it, or its derivative by the fraction."""
+    """The smooth step from 0 to 1 at fractions of it, or its derivative by the fraction."""
     return polyval(np.clip(fractions, 0.0, 1.0), polyder(_STEPS[smooth, : 2 * smooth + 2], derivative))
 
 
 def rise_values(fractions, smooth, derivative=0):
-    """How much of its rise a blend is up at fractions of it, or its derivative by the fraction."""
+    """Share of the rise at fractions of a blend, or its derivative by the fraction."""
     up, down = (step_values((fractions - begin) / RAMP, smooth, derivative) for begin in (0.0, 1.0 - RAMP))
     return (up - down) / RAMP**derivative
 
 
 class Motion:
-    """Where a vehicle is at any time: a chain of links (see the module). Never changes."""
+    """Motion of a vehicle over time: a chain of links (see the module). Immutable."""
 
     def __init__(self, links, rows):
-        """links: (k,) LINK.  rows: those of each."""
+        """links: (k,) LINK.  rows: [rows of each link]."""
         self.links, self.rows = links, rows
 
     @cached_property
@@ -255,7 +255,7 @@ class Motion:
         return self._chain.at(times_s, order)
 
     def since(self, time_s):
-        """The same motion for times from time_s on: what is over is forgotten."""
+        """The same motion for times from time_s on, without the links that are over."""
         first = max([k for k, end_s in enumerate(self.links["end_s"]) if end_s <= time_s], default=0)
         return Motion(self.links[first:], self.rows[first:])
 
@@ -265,12 +265,12 @@ class Motion:
         return Motion(self.links[:end], self.rows[:end])
 
     def followed_by(self, other, **fields):
-        """This chain and the last link of another motion after it; fields: of that link."""
+        """This chain, followed by the last link of another motion; fields: of that link."""
         chain = Motion(np.concatenate([self.links, other.links[-1:]]), [*self.rows, other.rows[-1]])
         return chain.with_fields(**fields)
 
     def faster(self, factor):
-        """The same path of a single link, flown so many times as fast; its time 0 stays where it is."""
+        """The same path of a single link, flown `factor` times as fast; its position at time 0 is unchanged."""
         links = self.links.copy()
         for key in ("epoch_s", "rest_s", "move_s"):
             links[key] /= factor
@@ -283,7 +283,7 @@ class Motion:
         return Motion(links, [rows])
 
     def with_yaw(self, yaw_rad, yaw_rate_rad_s, along_path):
-        """The same path of a single link with another yaw; that of polynomials is forgotten."""
+        """The same path of a single link with another yaw; the yaw of polynomials is removed."""
         rows = self.rows[0].copy()
         for power in range(COEFFICIENTS if self.links["pieces"][0] else 0):
             rows[1 + power :: _PIECE_ROWS, 0] = 0.0
@@ -299,7 +299,7 @@ class Motion:
 
 
 class Chains:
-    """Motions of n vehicles as compiled code takes them."""
+    """Motions of n vehicles in arrays for compiled code."""
 
     def __init__(self, motions):
         self._counts = np.array([len(motion.links) for motion in motions])
@@ -313,7 +313,7 @@ class Chains:
                 end += len(rows)
         self._table = np.concatenate(tables)
         self.calls = np.full(len(motions), -1)  # (n,) `under_way` or `arrived` of each, at the newest sample,
-        self.is_new = False  # and whether one of them was another one before
+        self.is_new = False  # and whether one of them has changed
 
     def at(self, times_s, order=Order.SNAP):
         """(order + 1, n, 4) at one time (1,), or (order + 1, t, 4) of a single vehicle at times (t,)."""
@@ -330,7 +330,7 @@ def simple_motion(rows=_NO_ROWS, **fields):
 
 
 def polynomials(coefficients, durations_s):
-    """Motion along pieces (m, 8, 4), x, y, z and psi, that take so long (m,), again and again. See `minimum_snap`."""
+    """Motion cyclically along pieces (m, 8, 4), x, y, z, psi, of durations_s (m,). See `minimum_snap`."""
     rows = np.zeros((len(durations_s), _PIECE_ROWS, 4), dtype=complex)
     rows[:, 0, 0], rows[:, 0, 1] = np.cumsum(durations_s) - durations_s, durations_s
     rows[:, 1:] = np.roll(coefficients, 1, axis=2)
@@ -353,14 +353,14 @@ def blend(start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revo
     """Motion from one motion into another: start + s (end - start), s the smooth step from 0 to 1.
 
     It has the derivatives of `start` at the beginning and those of `end` at the end, to the order `smooth` of the last
-    link of `end` (snap, if nothing else is said); those of the yaw to its acceleration. Every position in between lies
-    on the line between the two (or above it, when it rises): where both are inside the (convex) arena, so is the way.
-    A polynomial between two states of motion has no such bound; for the yaw, which needs none, it is the better way,
-    because a vehicle need not follow a nose that turns.
+    link of `end` (by default snap); those of the yaw to its acceleration. Every position in between lies on the line
+    between the two (or above it, if it rises): where both are inside the (convex) arena, so is the way. A polynomial
+    between two states of motion has no such bound; for the yaw, which needs none, it is better, because the vehicle
+    need not follow a yaw that keeps turning.
 
-    end: its yaw is turned by whole revolutions to be nearest.  rise_m: how much higher it leads, over vehicles in
-    between.  yaw_duration_s: of the yaw [s], at least duration_s; None = duration_s.  revolutions: further turns of the
-    yaw.  calls: numbers (under_way, arrived).
+    end: its yaw is taken in the nearest revolution.  rise_m: rise above the line, over vehicles in between.
+    yaw_duration_s: of the yaw [s], at least duration_s; None = duration_s.  revolutions: further turns of the yaw.
+    calls: numbers (under_way, arrived).
     """
     if not duration_s > 0.0:
         raise ValueError("a blend needs a time > 0, got %r" % (duration_s,))
@@ -384,11 +384,11 @@ def blend(start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revo
 def turn(first, last, duration_s, revolutions):
     """Coefficients (6,) over the fraction of a duration between two yaws (3,) with rates and accelerations.
 
-    The last is turned by whole revolutions to be nearest, and by so many more.
+    The last yaw is taken in the nearest revolution, and turned by `revolutions` more.
     """
     v0, v1 = first[1] * duration_s, last[1] * duration_s
     a0, a1 = 0.5 * first[2] * duration_s**2, 0.5 * last[2] * duration_s**2
-    # the nose turns on meanwhile: what must be nearest is the last less that turn
+    # the yaw rates turn the nose meanwhile: nearest is meant without that turn
     way = last[0] - first[0]
     way += 2.0 * math.pi * (revolutions - round((way - 0.5 * (v0 + v1)) / (2.0 * math.pi)))
     return np.array(

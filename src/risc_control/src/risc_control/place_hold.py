@@ -1,7 +1,7 @@
 """Position hold of a vehicle on sticks, by motion capture: the thesis' "simple PID controller" (5.2.2). No ROS.
 
-It is about a place that moves with limited acceleration: where an operator's sticks send it, or out of another
-vehicle's way, up after a take-off and down to the floor. It begins with the motion that the vehicle has.
+It holds a place that moves with limited acceleration: where an operator's sticks send it, out of another vehicle's way,
+up after a take-off and down to the floor. The place starts with the position and velocity of the vehicle.
 """
 
 import math
@@ -11,9 +11,9 @@ from risc_control.vehicles import Command
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.limits import within
 
-PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held; on the former the fence counts
-STOP_M_S2 = 2.5  # when it slows down: others may be in its way, or the floor;
-STOPS_UP_M_S2 = 1.4  # of that the fence counts on so much, up and down
+PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # acceleration of the place that is held; the fence counts on the former
+STOP_M_S2 = 2.5  # its deceleration: others, or the floor, may be in its way;
+STOPS_UP_M_S2 = 1.4  # the part of it that the fence counts on, up and down
 LEASH_M = 0.3  # on the way up or down the place is no farther above or below the vehicle: the floor may stop it
 
 # Acceleration by error, its rate and its integral.
@@ -21,7 +21,7 @@ _POSITION_1_S2, _VELOCITY_1_S, _INTEGRAL_1_S3, _INTEGRAL_M_S2 = 3.0, 2.8, 0.7, 0
 _HEIGHT_1_S2, _CLIMB_1_S = 5.0, 3.5
 _YAW_1_S, _YAW_RATE_RAD_S = 1.0, 0.5
 _TILT_RAD, _UP_M_S2 = math.radians(20.0), 3.0
-_FAR_M = 0.5  # larger errors count as this one
+_FAR_M = 0.5  # larger errors are limited to this
 
 
 class PlaceHold:
@@ -31,24 +31,24 @@ class PlaceHold:
         self._mass_kg = mass_kg
         self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
         self._integral_m_s2 = [0.0, 0.0]
-        flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads what is
-        thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled
+        flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads the
+        thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled code
 
     @property
     def height_m(self):
-        """Of the place."""
+        """Height of the place that is held."""
         return self._place_m[2]
 
     def begin(self, own):
-        """Hold from the place and the motion that it has."""
+        """Start from the position and velocity of the vehicle."""
         self._place_m, self._place_m_s, self._psi_rad = list(own.position_m), list(own.velocity_m_s), own.psi_rad
         self._integral_m_s2 = [0.0, 0.0]
 
     def command(self, own, step_s, velocity_m_s, yaw_rate_rad_s, leash_m=math.inf):
-        """`Command` that holds the place, which comes to move at this velocity.
+        """`Command` that holds the place, whose velocity changes towards velocity_m_s.
 
-        step_s: since the last one.  yaw_rate_rad_s: of the heading that is held, + clockwise.  leash_m: the place is no
-        farther above or below the vehicle.
+        step_s: since the last call.  yaw_rate_rad_s: of the heading that is held, + clockwise.  leash_m: the place is
+        no farther above or below the vehicle.
         """
         wanted_m_s2 = [0.0] * 3
         for axis, most_m_s2 in enumerate((PLACE_M_S2, PLACE_M_S2, PLACE_UP_M_S2)):
@@ -79,5 +79,5 @@ class PlaceHold:
 
 
 def stops_m_s(way_m):
-    """Speed at which the place that is held comes to a stop within this way, up or down."""
+    """Speed from which the place that is held stops within way_m, up or down."""
     return math.sqrt(PLACE_UP_M_S2 * max(0.0, way_m))  # at half of its acceleration

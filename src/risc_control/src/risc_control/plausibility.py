@@ -1,25 +1,25 @@
-"""Whether a vehicle can have done what motion capture says of it. No ROS.
+"""Whether the states that motion capture gives of a vehicle are physically possible. No ROS.
 
-Swapped markers, exchanged names, a template that is fitted turned by 180 degrees and frames that come again and again
-all give states that look like any other. Here each state is judged against the one before and against what the type of
-the vehicle can do in the time T between them. Of a vehicle whose acceleration is at most A
+Swapped markers, exchanged names, a template that is fitted turned by 180 degrees and repeated frames all give states
+that look like any other. Here each state is judged against the one before, by what the type of the vehicle can do in
+the time T between them. For a vehicle whose acceleration is at most A
 
     |step of its velocity| <= A T,    |step of its position - T * mean of both velocities| <= A T^2 / 4,
 
 the second one with equality when it accelerates one way for T/2 and the other way for the rest. Roll and pitch turn no
-faster than its attitude loops do, yaw no faster than full scale (`reach_of`), and none flies tilted by more than
-`_TILT_MAX_RAD`, however long it was not seen. What estimators make of the noise of motion capture comes on top
-(`suspect_position_m` and others of `SafetyLimits`). A position that is the very same as in the state before is not a
-measurement: however still a vehicle is, its markers are measured anew.
+faster than its attitude loops do, yaw no faster than full scale (`reach_of`), and no vehicle flies tilted by more than
+`_TILT_MAX_RAD`, however long it was not seen. An allowance for the noise of motion capture and estimator is added
+(`suspect_position_m` and others of `SafetyLimits`). A position exactly equal to that of the state before is not a
+measurement: even at rest, the markers of a vehicle are measured anew.
 
-A state that contradicts is suspect, and so are those after it. They are believed again after `_AGREEING` steps in a row
-that do not contradict (`_SLOWLY` where their velocity has changed), when that track began where the vehicle can have
-come since the last state that was believed, or has come back near to where that one leads. A track that goes on
-elsewhere stays suspect until the vehicle must have landed (`separation_forget_s`); then it is believed, or nobody could
-ever fly the vehicle again.
+A state that contradicts these limits is suspect, and so are those after it. They are believed again after `_AGREEING`
+steps in a row that do not contradict (`_SLOWLY` where their velocity has changed), if that track began where the
+vehicle can have come since the last state that was believed, or has returned near to where that state leads. A track
+that continues elsewhere stays suspect until the vehicle must have landed (`separation_forget_s`); then it is believed,
+or nobody could ever fly the vehicle again.
 
-Times are stamps. A message whose stamp was overtaken says nothing. When the clock of the stamps was set, what was known
-before is taken to be as old as it is, so that a set clock hides nothing either.
+Times are stamps. A message whose stamp is older than one before it is ignored. When the clock of the stamps was set,
+earlier states keep their true age, so that a set clock hides no contradiction.
 """
 
 import enum
@@ -51,14 +51,14 @@ _TEXTS = {
 }
 _POSITION, _VELOCITY, _TILT, _YAW, _FROZEN, _EXCHANGED, _STEEP = map(int, list(Doubt)[1:])  # for compiled code
 _AGREEING = 4  # steps: 67 ms at 60 looks a second,
-_SLOWLY = 12  # where its velocity is another one than before: it may be made of false places for so long
-_GROW_S = 0.05  # the limits around where the last good state leads grow for so long only
-_COMES_S = 0.5  # one that is not flown on comes no farther than by accelerating for so long: else all is in its reach
-_NEAR_OTHER = 0.35  # of their distance: so near to each other's place both are seen whose names were exchanged
+_SLOWLY = 12  # where its velocity has changed: for this long it may come from false positions
+_GROW_S = 0.05  # the limits around where the last good state leads grow for this long only
+_COMES_S = 0.5  # longest acceleration of a vehicle that is not flown on: else everywhere would be in its reach
+_NEAR_OTHER = 0.35  # of their distance: names were exchanged if both are seen this near to each other's position
 _TILT_MAX_RAD = 1.2
 _STATE = S.PSI + 1  # columns that are judged
 
-# What a type of vehicle can do, or what noise adds to that: acceleration or velocity, ...
+# Limits of a type of vehicle, and the allowance for noise.
 _REACH = record("level_m_s2 up_m_s2 tilt_rad_s yaw_rad_s")
 _NOISE = record("position_m velocity_m_s angle_rad least_m")
 _VEHICLE = record(
@@ -78,7 +78,7 @@ _VEHICLE = record(
 
 
 def reach_of(vehicle_type):
-    """Row of _REACH: the greatest accelerations of a VehicleType, level and up or down, and the rates of its angles.
+    """Row of _REACH: greatest accelerations of a VehicleType, horizontal and vertical, and rates of its angles.
 
     An attitude loop that is stepped from one full scale to the other turns at natural frequency * full scale.
     """
@@ -112,10 +112,10 @@ class Plausibility:
         self._rows = {}  # {names of a message: row of each}
         self._stamps = ClockGuard(math.inf)  # a node may hear nothing for long
         self._heard_s = self._refused_s = -math.inf  # the newest stamp that was accepted, and that was not
-        self._look(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros((0, len(S))), 0.0)  # loads what is compiled
+        self._look(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros((0, len(S))), 0.0)  # loads the compiled code
 
     def look(self, names, visible, states, stamp_s):
-        """(n,) bool: who is seen, with a state that can be true; None: the message was overtaken, or its clock is new.
+        """(n,) bool: visible with a plausible state; None: the message is older than one before, or its clock is new.
 
         visible: (n,) bool.  states: (n, 12), columns `S`.
         """
@@ -129,7 +129,7 @@ class Plausibility:
         step = self._stamps.look(stamp_s)
         if step is Step.REFUSED:
             self._refused_s = stamp_s
-            if stamp_s == self._heard_s:  # the same once more
+            if stamp_s == self._heard_s:  # the same message again
                 return visible & ((rows < 0) | (self._vehicles["doubt"][rows] == 0))
             return None
         if step is Step.NEW_CLOCK:
@@ -181,7 +181,7 @@ def _judge(vehicles, rows, believed, states, stamp_s, noise_of_all, give_up_s):
 
 @compiled
 def _note(vehicle, state, stamp_s, noise, give_up_s):
-    """One more state of a vehicle."""
+    """Judge one more state of a vehicle."""
     step_s = stamp_s - vehicle.newest_s
     if vehicle.good_s == -math.inf:
         _believe(vehicle, state, stamp_s)
@@ -230,9 +230,9 @@ def _believe(vehicle, state, stamp_s):
 
 @compiled
 def _contradicts(reach, before, state, step_s, reach_s, noise):
-    """(Doubt, misfit, limit) of the step between two states, by the limit that is exceeded most; Doubt 0: it can be.
+    """(Doubt, misfit, limit) of the step between two states, by the limit that is exceeded most; Doubt 0: possible.
 
-    reach_s: time in which the vehicle can have done what is not in the states.
+    reach_s: time for which the vehicle may have moved unobserved.
     """
     square, square_m_s, doubt, worst, its_most = 0.0, 0.0, 0, 0.0, 1.0
     for axis in range(2):
@@ -260,7 +260,7 @@ def _contradicts(reach, before, state, step_s, reach_s, noise):
 
 @compiled
 def _note_exchange(vehicles, i, j, stamp_s):
-    """Whether two suspects are seen at each other's place."""
+    """Note if two suspects are each seen where the other was."""
     one, other = vehicles[i], vehicles[j]
     if not one.doubt or not other.doubt or one.newest_s != stamp_s or other.newest_s != stamp_s:
         return

@@ -1,22 +1,22 @@
-"""What keeps a vehicle on the floor that motion capture is to fly: checks when a take-off is asked for. No ROS.
+"""Checks before the take-off of a vehicle that is to fly by motion capture: reasons to refuse it. No ROS.
 
-Battery, telemetry and joystick are looked at always (`vehicle_pilot`); this only with `preflight`.
+Battery, telemetry and joystick are always checked (`vehicle_pilot`); these only with the parameter `preflight`.
 """
 
 import math
 from typing import NamedTuple
 
-LEAST_RATE_HZ = 20.0  # of the states that the node looks at
+LEAST_RATE_HZ = 20.0  # of the states that the node reads
 LEVEL_RAD = math.radians(15.0)
-LOOKS = 20  # the rate is that of so many
-COUNTS = 3  # of markers, one a second: a marker must be gone for longer than that
+LOOKS = 20  # number of states over which the rate is taken
+COUNTS = 3  # newest counts of markers, one a second: a marker must be missing for longer than that
 
 
 class Facts(NamedTuple):
-    """What is known of a vehicle that stands."""
+    """State of a vehicle that stands, for the checks."""
 
     state_age_s: float  # of the newest state that was believed; infinite: it was never seen
-    state_late_s: float  # its age when it came
+    state_late_s: float  # its age when it arrived
     state_limit_s: float
     suspect: str  # what the newest state contradicts; "" when nothing
     rate_hz: float  # of its states; 0: too few to say
@@ -25,13 +25,13 @@ class Facts(NamedTuple):
     tilt_rad: float
     controls_age_s: float  # of the newest command; infinite: no controller was heard
     controls_limit_s: float
-    markers: tuple  # (how many its pose rests on, how many it must, how many it has); None: nobody tells
-    nearest: tuple  # (distance that counts [m], name) of the nearest vehicle; None: nobody is seen
-    apart_m: float
+    markers: tuple  # numbers of markers (used for its pose, required, of its template); None: not reported
+    nearest: tuple  # `Separation.nearest`: (distance [m], name) of the nearest vehicle; None: none is seen
+    apart_m: float  # least distance
 
 
 def refusals(facts):
-    """Why it must not take off: sentences that say what to do; () when it may."""
+    """Reasons why it must not take off, which say what to do; () when it may."""
     found = []
     if facts.suspect:
         found.append("motion capture contradicts itself (%s): look at its markers and names in Cortex" % facts.suspect)

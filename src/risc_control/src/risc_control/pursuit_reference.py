@@ -1,8 +1,8 @@
 """References of a vehicle that pursues a virtual target (`virtual_target.py`): a place to wait at, then the target.
 
-The vehicle flies to the place where it waits (the original's "WP") as to any course. From the moment on that the
-target is let go (its "NGC") the reference is the target, which the vehicle only follows at a distance. So every way
-from there begins where the vehicle is seen, not at the reference.
+The vehicle flies to the place where it waits (the original's "WP") as to any course. From the moment the target is
+released (its "NGC") the reference is the target, which the vehicle only follows at a distance. So every way from there
+begins where the vehicle is seen, not at the reference.
 """
 
 import math
@@ -16,19 +16,20 @@ from risc_control.trajectories import YawProgram, make_course, on_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
 from risc_lab.settings import Positive, Settings
 
-# The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
-# with the references. Meanwhile the vehicle pursues the place where it is; otherwise it would fly to a target.
+# The target's speed is published this long before it moves, and after it has stopped: its topic is separate, so its
+# order with the references is not defined. Meanwhile the vehicle pursues the reference where it stands; otherwise it
+# would fly to a moving target.
 _LEAD_S = 0.1
 
 
 @dataclass(frozen=True)
 class TargetParams(Settings):
-    """Where the vehicle waits and where its target runs, a circle around the origin. Numbers of the original."""
+    """Where the vehicle waits, and the circle around the origin on which its target moves. Numbers of the original."""
 
     start_x_m: float = 0.5643  # cortex frame
     start_y_m: float = 1.2213
     height_m: Positive = 1.0
-    psi_deg: float = -90.0  # of the nose, all the time
+    psi_deg: float = -90.0  # constant heading
     radius_m: Positive = 0.8
     target_speed_m_s: Positive = 0.2  # of the target, counter-clockwise from above
     phase_deg: float = 90.0  # where on the circle it begins; 0 = on the x axis, + towards y
@@ -53,29 +54,29 @@ class VirtualTarget(TrajectoryManager):
     """TrajectoryManager of one vehicle whose course is the place where it waits; see the module."""
 
     target = TargetParams().target_course()
-    _wanted = False  # the target is to be let go as soon as the vehicle waits
-    _epoch_of_target_s = None  # when it begins to run; None = it rests
-    _told_until_s = -math.inf  # for so long its speed is told, when it rests
+    _wanted = False  # the target is to be released as soon as the vehicle waits
+    _epoch_of_target_s = None  # when it begins to move; None = it rests
+    _told_until_s = -math.inf  # until when its speed is still published after it has stopped
 
     @property
     def watching(self):
-        """Always: where the vehicle is cannot be told from the reference."""
+        """Always True: the position of the vehicle is not known from the reference."""
         return True
 
     @property
     def pursuing(self):
-        """Whether the target runs, or is about to."""
+        """Whether the target moves, or is about to."""
         return self._epoch_of_target_s is not None
 
     def target_speed_m_s(self, now_s):
-        """Speed of the target as its topic tells it, 0 while it rests."""
+        """Speed of the target to publish on its topic, 0 while it rests."""
         told = self.pursuing or now_s < self._told_until_s
         return float(np.linalg.norm(self.target.at(0.0)[Order.VELOCITY, 0, : Axis.PSI])) if told else 0.0
 
     def let_go(self, now_s):
-        """Let the target run, as soon as the vehicle is where it waits. Returns whether it will.
+        """Release the target, as soon as the vehicle is where it waits. Returns whether it will be released.
 
-        It does nothing while the target runs already, nor when the vehicle is not on its way to where it waits.
+        Does nothing while the target moves already, or when the vehicle is not on its way to where it waits.
         """
         if self.pursuing or self.sample(now_s).phases[0] not in (Phase.APPROACH, Phase.COURSE):
             return False
@@ -106,7 +107,7 @@ class VirtualTarget(TrajectoryManager):
         return super().go_home(now_s)
 
     def start(self, now_s):
-        """As `TrajectoryManager.start`; the target rests until it is let go again."""
+        """As `TrajectoryManager.start`; the target rests until it is released again."""
         self._wanted = False
         return super().start(now_s)
 

@@ -1,12 +1,12 @@
 """Reference at any time near now, with as many derivatives as a controller reads, from samples.
 
-/trajectory carries position, velocity and acceleration of the present; a controller that looks ahead over the command
+/trajectory carries position, velocity and acceleration of the present; a controller that predicts over the command
 delay needs jerk and snap, too. A polynomial of degree 5, fitted to three samples and their derivatives (nine
-conditions), extrapolates 0.14 s of the courses to a micrometre and 0.34 s to 0.02 mm, and stamps that are a microsecond
-beside the time a sample was computed for cost no more than that. (The exact fit of degree 8 would amplify such a
+conditions), extrapolates the courses by 0.14 s to a micrometre and by 0.34 s to 0.02 mm. Stamps that are a microsecond
+off the time a sample was computed for cost no more than that. (The exact fit of degree 8 would amplify such a
 microsecond to metres.)
 
-Samples that hold more derivatives are Taylor series: the newest one alone says what follows.
+Samples with more derivatives are Taylor series: the newest one alone gives the reference.
 """
 
 import functools
@@ -23,7 +23,7 @@ from risc_lab.compiled import compiled
 
 
 class Order(IntEnum):
-    """First axis of a reference: the derivatives, as far as they have names. /trajectory has the first three."""
+    """First axis of a reference: the derivatives that have names. /trajectory has the first three."""
 
     POSITION, VELOCITY, ACCELERATION, JERK, SNAP = range(5)
 
@@ -37,22 +37,22 @@ class Axis(IntEnum):
 MOST_ORDER = 12  # of a controller
 _LEGACY_ORDERS = 3  # of /trajectory
 _NODES = 3
-_DEGREES = (0, 2, 3, 5)  # of the polynomial through so many samples: of one, its own acceleration
+_DEGREES = (0, 2, 3, 5)  # of the polynomial, by the number of samples; one: by its own acceleration
 _NODE_SPACING_S = 0.1
 _KEEP_S = (_NODES - 1) * _NODE_SPACING_S + 0.02
-_SHORT_SPAN_S = 0.1  # less than this is too short for three samples and a degree of 5: two and a constant jerk,
-_MIN_SPAN_S = 0.02  # and less than this even for that: the newest sample alone
-_SAME_S = 1e-12  # [s] spacings of samples that differ by less are the same: their fit is known
+_SHORT_SPAN_S = 0.1  # a shorter span of samples: not three and a degree of 5, but two and a constant jerk;
+_MIN_SPAN_S = 0.02  # a shorter one than this: the newest sample alone
+_SAME_S = 1e-12  # [s] spacings of samples that differ by less are the same: the fit is reused
 # A step between two samples of one smooth path obeys the trapezoidal rule to the sixth decimal. A jump, a stamp that
 # is not the time the sample was computed for, or an acceleration that is not the velocity's derivative does not.
 _TOLERANCE_1_S = 0.02  # [m/s, m/s^2] error of position and of velocity per second of step
 
 
 def sample_orders(order):
-    """How many derivatives, the position counted, the samples for a reference to that order have.
+    """Number of derivatives, the position included, in the samples for a reference to that order.
 
-    Up to snap those of /trajectory. Beyond, as many as the polynomials of ways that are smooth to the order have: with
-    less a series is not exact where the command takes effect. Raises ValueError for an order > MOST_ORDER.
+    Up to snap those of /trajectory. Beyond, as many as the polynomials of ways have that are smooth to that order: with
+    fewer the series is not exact where the command takes effect. Raises ValueError for an order > MOST_ORDER.
     """
     if order > MOST_ORDER:
         raise ValueError("references have derivatives to order %d at most, got %d" % (MOST_ORDER, order))
@@ -66,14 +66,14 @@ class ReferenceBuffer:
     """
 
     def __init__(self, order=Order.SNAP):
-        """order: the highest derivative that `at` gives; beyond those of the polynomial they are 0."""
+        """order: the highest derivative that `at` returns; those beyond the polynomial's degree are 0."""
         self.sample_orders = sample_orders(order)
         self._orders = order + 1
         self._guard = ClockGuard()
         self._samples = deque()  # (stamp, sample), the newest last
         self._spacing_s = ()  # of the samples that `_fit` is for
         self.known = None  # (n,) bool of the newest sample: the vehicle has a reference; `at` gives NaN for the others
-        for stamp_s in (0.0, 0.01):  # loads what is compiled, also what compares a sample with the last
+        for stamp_s in (0.0, 0.01):  # loads the compiled code, two samples for that of their comparison
             self.push(stamp_s, np.zeros((self.sample_orders, 1, len(Axis))))
         self.at(np.zeros(1))
         self._guard.forget()
@@ -85,13 +85,13 @@ class ReferenceBuffer:
 
     def push(self, stamp_s, sample):
         """Add a sample (orders, n, 4): 3 orders, or a Taylor series of more. A jump, another set of vehicles or a new
-        clock forgets what was before.
+        clock discards earlier samples.
 
         A vehicle with a number that is not finite has no reference (`known`) until all samples that `at` uses are
-        finite again; the others keep theirs. Returns False, and takes nothing, for a stamp that does not advance (see
+        finite again; the others keep theirs. Returns False, and adds nothing, for a stamp that does not advance (see
         `ClockGuard`) or when no vehicle has a reference.
         """
-        # In this order, whatever the message's: for another one everything would be compiled, or loaded, in flight.
+        # In C order, whatever the message's: for another one all functions would be compiled, or loaded, in flight.
         stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")
         known = np.empty(sample.shape[1], dtype=bool)
         if not _find_finite(sample, known):
@@ -128,7 +128,7 @@ class ReferenceBuffer:
     def _fit_polynomial(self):
         """`_polynomial` (size, n, 4): coefficients, lowest power first, over (time - _middle_s) / _scale_s.
 
-        On the samples that is -1/2 to 1/2, which conditions the fit well.
+        The samples are at -1/2 to 1/2, which conditions the fit well.
         """
         newest_s, newest = self._samples[-1]
         nodes = self._nodes()
@@ -141,7 +141,7 @@ class ReferenceBuffer:
         if len(since_s) != len(self._spacing_s) or math.dist(since_s, self._spacing_s) > _SAME_S:
             self._spacing_s, self._fit = since_s, _fit_of(tuple(since_s))
         data = np.concatenate([sample for _, sample in nodes]).reshape(len(nodes) * _LEGACY_ORDERS, -1)
-        self._polynomial = self._fit.dot(data).reshape((-1,) + newest.shape[1:])  # of small ones, sooner done than @
+        self._polynomial = self._fit.dot(data).reshape((-1,) + newest.shape[1:])  # faster than @ for small arrays
 
     def _nodes(self):
         """Up to three samples about _NODE_SPACING_S apart, the newest first."""
@@ -160,10 +160,10 @@ class ReferenceBuffer:
         return nodes
 
 
-_FACTORIALS = np.array([math.factorial(d) for d in range(171)], dtype=float)  # all that a float can hold
+_FACTORIALS = np.array([math.factorial(d) for d in range(171)], dtype=float)  # all that fit in a float
 
 
-@functools.lru_cache(maxsize=256)  # in flight it hardly changes, and the next flight begins with the same ones
+@functools.lru_cache(maxsize=256)  # spacings hardly change in flight, and are the same in the next
 def _fit_of(since_s):
     """(size, k * 3): from the values and derivatives of k samples to the coefficients of the polynomial through them.
 
@@ -188,7 +188,7 @@ def _conditions(times, size):
 
 @compiled
 def _find_finite(sample, known):
-    """Fills known (n,): all numbers of the vehicle are finite. Whether that is so for any."""
+    """Fill known (n,): all numbers of the vehicle are finite. Return whether any vehicle's are."""
     anyone = False
     for i in range(len(known)):
         known[i] = math.isfinite(sample[:, i].sum())
@@ -198,7 +198,7 @@ def _find_finite(sample, known):
 
 @compiled
 def _continues(step_s, before, sample):
-    """True when a sample follows from the one before by a step of one smooth path, its yaw in the same turn.
+    """True if a sample follows from the one before by a step of one smooth path. Unwraps its yaw to that one's turn.
 
     A vehicle that is not finite in both samples is left out.
     """

@@ -1,5 +1,5 @@
-"""What a vehicle's loss ladder (`failsafe`) goes by and says: levels, rules, limits, verdicts. Plain data, quick to
-import: programs that only show or check it need nothing that is compiled.
+"""Levels, rules, limits and verdicts of a vehicle's failsafe ladder (`failsafe`). Plain data, quick to import: programs
+that only show or check it need no compiled code.
 """
 
 import enum
@@ -32,11 +32,11 @@ class Rule(enum.IntEnum):
 
 
 WITHOUT_EFFECT = "; it does not land: the operator must use the emergency stop"  # behind the reason of such a verdict
-LOSSES = frozenset((Rule.STATE, Rule.SUSPECT, Rule.CONTROLS))  # of what it flies on
+LOSSES = frozenset((Rule.STATE, Rule.SUSPECT, Rule.CONTROLS))  # loss of an input that it flies on
 
 
 def fence_of(arena):
-    """The fence of `SafetyLimits` that is the net of an Arena; the floor does not count."""
+    """Fence of `SafetyLimits` at the net of an Arena; the floor is no limit."""
     return {
         "fence_min_m": (-arena.half_x_m, -arena.half_y_m, -1.0),
         "fence_max_m": (arena.half_x_m, arena.half_y_m, arena.height_m),
@@ -47,44 +47,44 @@ def fence_of(arena):
 class SafetyLimits(Settings):
     """Thresholds of the ladder; 0 switches a rule off where noted."""
 
-    ladder: bool = True  # False: no level is ever entered by itself, which is for showing what the ladder is good for
+    ladder: bool = True  # False: no level is entered automatically; only to show what the ladder is good for
     state_hold_s: Positive = 0.1  # [s] own state older than this: HOLD; a suspect one is ignored, see `plausibility`
-    state_land_s: Positive = 0.5  # [s] ... LAND, and when it has held for so long, less state_hold_s, without a break
+    state_land_s: Positive = 0.5  # [s] ... LAND; also when it has held for this time less state_hold_s without a break
     # What the noise of motion capture adds to what a vehicle can do from one state to the next
     suspect_position_m: Positive = 0.03
     suspect_velocity_m_s: Positive = 0.3
     suspect_angle_deg: Positive = 5.0  # roll, pitch and yaw
-    state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
+    state_least_step_m: NotNegative = 1e-7  # [m] moved less since the last state: frozen; 0 = off (exact simulators)
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
     controls_land_s: Positive = 0.5  # [s] ... LAND, likewise
-    saturated_land_s: NotNegative = 1.5  # [s] full tilt or thrust for half of it: HOLD, for so long: LAND; 0 = off
+    saturated_land_s: NotNegative = 1.5  # [s] full tilt or thrust for half of it: HOLD, for all of it: LAND; 0 = off
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
     # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
     joystick_timeout: NotNegative = 1.0
     operator_after_s: NotNegative = 2.0  # [s] LAND without effect: the operator must use the emergency stop
     clock_tolerance_s: NotNegative = 0.1  # [s] a stamp that far in the future means that clocks differ
     battery_min_pct: NotNegative = 10.0  # [%] at or below: LAND, and no take-off; 0 = off
-    battery_delay_s: NotNegative = 0.5  # [s] reported low for so long: LAND (one false report is not enough)
+    battery_delay_s: NotNegative = 0.5  # [s] reported low for this long: LAND (one false report is not enough)
     # [m] x, y, z, cortex frame; a node's are the net of its fleet file
     fence_min_m: tuple[float, float, float] = fence_of(Arena())["fence_min_m"]
     fence_max_m: tuple[float, float, float] = fence_of(Arena())["fence_max_m"]
-    # [m] the centre of an AR.Drone must stay so far inside, that of a wider vehicle farther, else LAND; one that could
-    # not stop there much later: HOLD, see `fence`
+    # [m] the centre of an AR.Drone must stay this far inside, that of a wider vehicle farther, else LAND; one that will
+    # soon be unable to stop inside: HOLD, see `fence`
     fence_margin_m: NotNegative = 0.2
-    fence_delay_s: NotNegative = 0.05  # [s] ... for so long (one false measurement is not enough)
-    fence_land_s: Positive = 1.5  # [s] ... that still cannot after so long, or that the fence holds again: LAND
-    # Distances between the centres of vehicles in the air, see `separation`. They are those of two AR.Drones: others
-    # are kept farther apart by what the two reach farther than these (`radius_m` of the types), e.g. two IRIS+ 0.30 m.
+    fence_delay_s: NotNegative = 0.05  # [s] ... for this long (one false measurement is not enough)
+    fence_land_s: Positive = 1.5  # [s] ... one that is still unable after this time, or that is held again: LAND
+    # Distances between the centres of vehicles in the air, see `separation`. They are for two AR.Drones: larger types
+    # are kept farther apart by as much as the two reach farther (`radius_m` of the types), e.g. two IRIS+ by 0.30 m.
     separation_m: NotNegative = 0.55  # [m] nearer: HOLD, then LAND; hulls are as wide, courses keep 0.63 m; 0 = off
     separation_stray_m: NotNegative = 1.0  # [m] ... from one that has left its course, is not seen, or holds itself
     separation_course_m: NotNegative = 0.5  # [m] farther than this from its reference a vehicle has left its course
     separation_lookahead_s: NotNegative = 1.2  # [s] ... now or within this time, in which an AR.Drone stops;
     separation_follow_s: NotNegative = 0.8  # [s] of vehicles that follow their references: within this time
-    separation_delay_s: NotNegative = 0.05  # [s] too near for so long: HOLD (one false measurement is not enough)
-    separation_speed_m_s: NotNegative = 0.3  # [m/s] of moving apart, while holding is not enough
-    separation_land_s: NotNegative = 1.0  # [s] held for so long: LAND
-    separation_wait_s: NotNegative = 10.0  # [s] ... but when another one is straight below, only after so long
-    separation_forget_s: NotNegative = 10.0  # [s] one that is not seen for so long stands on the floor
+    separation_delay_s: NotNegative = 0.05  # [s] too near for this long: HOLD (one false measurement is not enough)
+    separation_speed_m_s: NotNegative = 0.3  # [m/s] speed of moving apart, while holding is not enough
+    separation_land_s: NotNegative = 1.0  # [s] held for this long: LAND
+    separation_wait_s: NotNegative = 10.0  # [s] ... but only after this time when another one is straight below
+    separation_forget_s: NotNegative = 10.0  # [s] one that is not seen for this long is taken to stand on the floor
 
     def __post_init__(self):
         super().__post_init__()
@@ -118,7 +118,7 @@ class Verdict:
     reason: str  # for people; "" when OK; numbers in it are those of the moment the level was entered
     operator: bool = False  # LAND has no effect: the operator must use the emergency stop
     rule: Rule = Rule.NONE
-    age_s: float | None = None  # of the newest good message that the rule looked at, then; None = no such rule
+    age_s: float | None = None  # of the newest good message of the rule, when entered; None = the rule has none
     limit_s: float | None = None  # beyond which the level is entered
 
     @functools.cached_property

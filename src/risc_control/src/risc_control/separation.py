@@ -1,7 +1,7 @@
-"""How far the vehicles of a fleet are from each other: who must hold, and where it avoids them to. No ROS.
+"""Separation of the vehicles of a fleet: which must hold, and where they move to avoid others. No ROS.
 
-Every vehicle node looks at the states of all vehicles (/cortex_raw) and at the references of all (/trajectory), and
-works out for all who holds. The same messages give the same answer in every node: those that fly together stop
+Every vehicle node takes the states of all vehicles (/cortex_raw) and the references of all (/trajectory), and works out
+for all of them which hold. The same messages give the same result in every node: vehicles that fly together stop
 together, and of two that are too near one climbs and the other one sinks.
 
 A vehicle holds when a neighbour
@@ -11,18 +11,18 @@ A vehicle holds when a neighbour
   than `separation_course_m` from it within `separation_follow_s`,
 - is or will be as near as that and has not been seen for `state_land_s`, so that its own ladder lands it,
 - is or will be as near as that and holds. One vehicle of a fleet that stops is in the way of the next, and so on.
-  Nodes know it at once (`tell`): each hears the safety topics of the others' vehicles. That of one that says nothing
-  (an older node, a lost network) is seen, half a second later.
+  Nodes know it at once (`tell`): each hears the safety topics of the others' vehicles. If one is not heard (an older
+  node, a lost network), its hold is noticed from its states half a second later.
 
-One that is not seen stays where it was seen last, for `separation_forget_s`, with all that is below, since it comes
-down there; it may also have flown on for a while. A vehicle that stands on the floor makes nobody hold; landing on it
-is another matter (`Look.above`).
+A vehicle that is not seen is assumed to stay where it was seen last, for `separation_forget_s`, and anywhere below,
+since it comes down there; it may also have flown on for a while. A vehicle on the floor makes no other hold; landing on
+it is prevented separately (`Look.above`).
 
-Distances are between centres, and set for two AR.Drones. Two vehicles of which one or both reach farther (`radius_m` of
-the type) are kept as much farther apart: everywhere here their distance counts as less by what the two are wider
-(`wider_m`), so that the same gap is left between their hulls. Two IRIS+ hold at `separation_m` + 0.30 m.
+Distances are between centres, and set for two AR.Drones. Vehicles that reach farther (`radius_m` of the type) are kept
+as much farther apart: everywhere here a distance is reduced by what the two reach farther (`wider_m`), so that the same
+gap is left between their hulls. Two IRIS+ hold at `separation_m` + 0.30 m.
 
-Positions and velocities: cortex frame, z up. Times: one clock that never steps.
+Positions and velocities: cortex frame, z up. Times: one monotonic clock.
 """
 
 import enum
@@ -34,18 +34,18 @@ import numpy as np
 from risc_lab.compiled import compiled, record
 from risc_lab.states import AIRBORNE_M, S
 
-_REFERENCE_S = 0.5  # [s] a reference that much older, or newer, than the position says nothing about it
-_LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides who is the upper one
-_PIECES = 4  # straight ones, of a bent path
-_FLOOR_M = AIRBORNE_M + 0.2  # nobody moves down below this
-_STOPS_S = 0.5  # times the speed of moving apart: so far from the room's sides nobody is sent on
+_REFERENCE_S = 0.5  # [s] a reference older or newer than the position by more is not compared with it
+_LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides which is the upper one
+_PIECES = 4  # straight pieces of a curved path
+_FLOOR_M = AIRBORNE_M + 0.2  # no vehicle is sent down below this
+_STOPS_S = 0.5  # times the speed of moving apart: margin to the room's sides within which none is sent on
 _STILL = (0.0, 0.0, 0.0)
 _TURNS_RAD = tuple(math.radians(turn_deg) for turn_deg in (0.0, 45.0, -45.0, 90.0, -90.0))  # of ways aside
-_BESIDE = 1.4  # times separation_m (of two AR.Drones): so far from the one that stands below a vehicle lands
+_BESIDE = 1.4  # times separation_m (of two AR.Drones): distance from a vehicle below at which one may land
 
 
 class Cause(enum.IntEnum):
-    """Why a vehicle holds, by what its neighbour is."""
+    """Why a vehicle holds, by the state of its neighbour."""
 
     NEAR, STRAYS, UNSEEN, HOLDS = range(4)
 
@@ -67,19 +67,19 @@ _VEHICLE = record(
     ("referred_s", float),  # -inf: never
     ("order", int),  # in the fleet
     ("wider_m", float),  # than an AR.Drone, from its centre
-    ("on_course", bool),  # it has been at its reference since that came without a jump
+    ("on_course", bool),  # it has been at its reference since the reference last jumped
     ("follows", bool),
     ("strays", bool),
     ("holds", bool),
-    ("told", bool),  # its own node holds or lands it, whatever the others do
-    ("neighbour", int),  # that makes it hold: the one that is beyond its limit by most
+    ("told", bool),  # its own node holds or lands it, for a reason other than its neighbours
+    ("neighbour", int),  # that makes it hold: the one that is inside its limit by most
     ("cause", int),
 )
 _OF_SAFETY = (  # fields of SafetyLimits
     *("state_hold_s", "state_land_s", "separation_m", "separation_stray_m", "separation_course_m"),
     *("separation_lookahead_s", "separation_follow_s", "separation_forget_s", "separation_speed_m_s"),
 )
-# Those, and where there is room to move.
+# These fields, and the room to move in.
 _LIMITS = record(" ".join(_OF_SAFETY), ("low_m", float, (3,)), ("high_m", float, (3,)))
 
 
@@ -102,8 +102,8 @@ class Separation:
 
     def __init__(self, own, limits, fleet=(), wider_m=None):
         """own: names of the node's vehicles.  limits: SafetyLimits.  fleet: names of all vehicles in the order that
-        decides ties; () when no fleet is known: everybody in the states is a vehicle, in the order of the names.
-        wider_m: {name: how much farther it reaches than an AR.Drone}; those that are not there count as one.
+        decides ties; () when no fleet is known: every name in the states is a vehicle, in the order of the names.
+        wider_m: {name: how much farther it reaches than an AR.Drone [m]}; 0 for names that are not there.
         """
         self._own, self._fleet, self._wider_m = tuple(own), tuple(fleet), wider_m or {}
         self._on = limits.ladder and limits.separation_m > 0.0
@@ -120,9 +120,9 @@ class Separation:
         self._rows = {}  # {names of a message: row of each}
         self._add([*self._fleet, *self._own])
         self._own_rows = [self._index[name] for name in self._own]
-        self._alert_s = -math.inf  # when somebody held, last
+        self._alert_s = -math.inf  # when any vehicle held last
         self._alert_lasts_s = 2.0 * limits.separation_wait_s
-        rows = np.zeros(0, np.int64)  # loads what is compiled
+        rows = np.zeros(0, np.int64)  # to load the compiled code
         _see(self._vehicles, rows, np.zeros(0, bool), np.zeros((0, len(S))), 0.0)
         _refer(self._vehicles, rows, np.zeros((0, 3, 4)), 0.0, 1.0)
         _judge(self._vehicles, self._apart_m, 0.0, self._limits)
@@ -139,8 +139,8 @@ class Separation:
         _refer(self._vehicles, rows, derivatives, referred_s, self._course_m)
 
     def tell(self, names):
-        """These vehicles hold or land because of something else than others, which their nodes know before anybody can
-        see it.
+        """These vehicles hold or land for a reason other than their neighbours, as their nodes report before it can be
+        seen.
         """
         self._vehicles["told"] = [name in names for name in self._names]
 
@@ -150,7 +150,7 @@ class Separation:
             return {}
         if _judge(self._vehicles, self._apart_m, now_s, self._limits):
             self._alert_s = now_s
-        if now_s - self._alert_s > self._alert_lasts_s:  # who held must still land beside the others
+        if now_s - self._alert_s > self._alert_lasts_s:  # until then those that held may still be landing beside others
             return {}
         looks = {}
         for i, name in zip(self._own_rows, self._own):
@@ -163,7 +163,9 @@ class Separation:
         return looks
 
     def nearest(self, name, now_s):
-        """(what its distance counts [m], its name) of the vehicle that is nearest to an own one; None: none is seen."""
+        """(distance less what the two reach farther [m], name) of the vehicle nearest to an own one; None: none is
+        seen.
+        """
         one, found = self._vehicles[self._index[name]], []
         for other, its_name in zip(self._vehicles, self._names):
             if its_name != name and now_s - other.seen_s <= self._unseen_s:
@@ -221,7 +223,7 @@ def _refer(vehicles, rows, derivatives, referred_s, course_m):
         if rows[k] < 0 or not math.isfinite(derivatives[k, :, :3].sum()):
             continue
         vehicle = vehicles[rows[k]]
-        # Who is sent elsewhere by a jump of its reference has not left its course.
+        # A vehicle that is sent elsewhere by a jump of its reference has not left its course.
         step_s, square = referred_s - vehicle.referred_s, 0.0
         for axis in range(3):
             went_m = derivatives[k, 0, axis] - vehicle.reference_m[axis]
@@ -273,20 +275,20 @@ def _velocity(vehicle):
 
 @compiled
 def _wider(one, other):
-    """What two vehicles are wider than two AR.Drones: so much less does their distance count."""
+    """How much farther than two AR.Drones two vehicles reach [m]: distances are reduced by it."""
     return one.wider_m + other.wider_m
 
 
 @compiled
 def _nearest_straight(one, velocity, other, other_velocity, is_unseen, within_s):
-    """What the smallest distance of two vehicles counts, within a time at such velocities; is_unseen: the other is."""
+    """Smallest distance of two vehicles within a time at these velocities, less `_wider`; is_unseen: the other is."""
     x = other.position_m[0] - one.position_m[0]
     y = other.position_m[1] - one.position_m[1]
     z = other.position_m[2] - one.position_m[2]
     (u, v, w), (other_u, other_v, other_w) = velocity, other_velocity
     if not is_unseen:
         return _nearest(x, y, z, other_u - u, other_v - v, other_w - w, within_s) - _wider(one, other)
-    # it stopped, or flew on, and will come down
+    # it may have stopped or flown on, and will come down
     z = min(z, 0.0)
     w = w if z < 0.0 else 0.0
     stopped_m = _nearest(x, y, z, -u, -v, -w, within_s)
@@ -295,7 +297,7 @@ def _nearest_straight(one, velocity, other, other_velocity, is_unseen, within_s)
 
 @compiled
 def _nearest_bent(one, other, within_s):
-    """The same for two vehicles that also accelerate as their references do."""
+    """As `_nearest_straight`, for two vehicles that also accelerate as their references do."""
     at, step_s, nearest_m = np.empty((2, 3)), within_s / _PIECES, np.inf
     for k in range(_PIECES + 1):
         t = k * step_s
@@ -324,10 +326,10 @@ def _flies(vehicle):
 
 @compiled
 def _judge(vehicles, apart_m, now_s, limits_of_all):
-    """Who of all holds, because of whom and why. Returns whether anybody does.
+    """Set which vehicles hold, because of which neighbour and why. Returns whether any does.
 
-    apart_m: (n, n) to work in: what it counts how near two will be at their velocities, inf for pairs that do not
-    matter.  limits_of_all: (1,) _LIMITS.
+    apart_m: (n, n) to work in: `_nearest_straight` of each pair at its velocities, inf for pairs that do not matter.
+    limits_of_all: (1,) _LIMITS.
     """
     n, anybody, tells, limits = len(vehicles), False, False, limits_of_all[0]
     for i in range(n):
@@ -394,7 +396,7 @@ def _avoid(vehicles, i, now_s, limits_of_all):
             aside = (x / level_m, y / level_m) if level_m > 0.0 else (1.0, 0.0)
         if not _flies(other):
             continue
-        # will it come too near even to one that stops at once?
+        # will the other come too near even if this one stops at once?
         is_unseen, ahead_s = unseen_s > limits.state_hold_s, limits.separation_lookahead_s
         alone_m = _nearest_straight(one, _STILL, other, _velocity(other), is_unseen, ahead_s)
         if alone_m < closest_m:
@@ -409,8 +411,8 @@ def _avoid(vehicles, i, now_s, limits_of_all):
 
 @compiled
 def _free_way(vehicles, i, away, level_m, now_s, limits):
-    """Direction, as near to `away` as it can be, in which a vehicle gets far enough from the one below it, whose level
-    distance counts `level_m`; (0, 0): there is none.
+    """Direction, as near to `away` as possible, in which a vehicle gets far enough from the one below it, at the
+    horizontal distance `level_m` less `_wider`; (0, 0): there is none.
     """
     for turn_rad in _TURNS_RAD:
         cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
@@ -423,7 +425,7 @@ def _free_way(vehicles, i, away, level_m, now_s, limits):
 
 @compiled
 def _is_free(vehicles, i, aside, distance_m, now_s, limits):
-    """Whether a vehicle can go so far to one side, at the speed of moving apart, stop there, and land."""
+    """Whether a vehicle can go distance_m to this side, at the speed of moving apart, stop there, and land."""
     one, speed_m_s = vehicles[i], limits.separation_speed_m_s
     for axis in range(2):
         end_m = one.position_m[axis] + distance_m * aside[axis]

@@ -1,11 +1,12 @@
 """Courses: paths of several vehicles with exact derivatives to any order, and yaw programs.
 
-A course is a set of paths, one a vehicle, that keep the vehicles apart. `COURSES` holds them by name: each entry makes
-the course for a number of vehicles, `make_course("flat8", 3)`. Add a function to `COURSES` and it is a name for every
-node and for `--trajectory`. `course_for_fleet` makes copies of a figure when there are too many vehicles for one.
+A course is a set of paths, one per vehicle, that keep the vehicles apart. `COURSES` holds them by name: each entry
+makes the course for a number of vehicles, `make_course("flat8", 3)`. A function that is added to `COURSES` can be used
+by its name in every node and for `--trajectory`. `course_for_fleet` makes copies of a figure when there are too many
+vehicles for one.
 
-A path is a function of the phase, written as in a book: `figure` finds the sum of harmonics that it is, and with that
-all derivatives. `quadrants` and places are tours, whose moves are as smooth as `motions.blend`.
+A path is a function of the phase, written as in a textbook: `figure` computes its Fourier series, and from that all
+derivatives. `quadrants` and fixed points are tours, whose moves are as smooth as `motions.blend`.
 
 Frame: cortex (x forward, y left, z up), metres, seconds. Yaw psi is + clockwise seen from above (NED sense), radians;
 at yaw psi the nose points along (cos psi, -sin psi). Arrays of derivatives have the order (0 = position ... 4 = snap)
@@ -28,16 +29,16 @@ from risc_lab.settings import Positive, Settings, settings_from
 
 # Courses of chapter 6 and of the original release.
 COURSE_HEIGHT_M = 1.0
-SAFE_SEPARATION_M = 0.75  # between centres of AR.Drones; of others by what the two widest reach farther
+SAFE_SEPARATION_M = 0.75  # between centres of AR.Drones; for others more, by what the two widest reach farther
 _LEAST_SEPARATION_M = 0.6  # with less they hold (SafetyLimits.separation_m), with errors of 0.05 m
-FEW_VEHICLES = 5  # so many fly one figure in the laboratory's net, however near each other it brings them
-_FROM_NET_M = 0.7  # a course keeps so far inside the net: the fence is 0.2 m inside and looks half a second ahead
+FEW_VEHICLES = 5  # up to this many fly one figure in the laboratory's net, however near each other it brings them
+_FROM_NET_M = 0.7  # distance of a course from the net: the fence is 0.2 m inside and looks half a second ahead
 _FROM_TOP_M = 0.5
-_BETWEEN_COPIES_M = 1.2  # of a figure,
+_BETWEEN_COPIES_M = 1.2  # distance between copies of a figure,
 _WITHIN_COPIES_M = 0.85  # and between the vehicles of each: there is room for the ways of others
 _SAMPLES = 256  # of a path: it may have harmonics to a quarter of that
-_SPEED_STEP_S = 0.02  # where the largest speed is looked for
-_LEAST_AMPLITUDE_M = 1e-12  # of a harmonic; what is less is rounding
+_SPEED_STEP_S = 0.02  # time step of the search for the largest speed
+_LEAST_AMPLITUDE_M = 1e-12  # of a harmonic; less is rounding
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,12 @@ class YawProgram:
 
     offset_rad: float = 0.0
     rate_rad_s: float = 0.0
-    along_path: bool = False  # the nose leads; the rest is added
+    along_path: bool = False  # the nose points along the path; offset and turning are added
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What n vehicles fly: where they and their noses are over time."""
+    """Positions and yaws of n vehicles over time."""
 
     name: str
     paths: tuple  # Motion of each, of a single link
@@ -84,12 +85,12 @@ class Course:
         return replace(self, paths=tuple(path.with_yaw(*program) for path in self.paths))
 
     def faster(self, factor):
-        """The same course, flown so many times as fast."""
+        """The same course, flown `factor` times as fast."""
         return replace(self, paths=tuple(path.faster(factor) for path in self.paths), period_s=self.period_s / factor)
 
     @property
     def repeat_s(self):
-        """Time after which paths and noses have both been round at least once."""
+        """Time after which paths and yaws have both completed at least one round."""
         rate_rad_s = max(abs(path.links["yaw_rate_rad_s"][0]) for path in self.paths)
         return max(self.period_s, 2.0 * math.pi / rate_rad_s if rate_rad_s else 0.0)
 
@@ -106,7 +107,7 @@ def on_course(course, vehicle, epoch_s):
 def figure(name, vehicles, period_s, path):
     """Course on which all fly one path, vehicle k ahead by k equal shifts: 1/n of the period, or what keeps them apart.
 
-    Equal parts of the period are no good on a path that crosses itself: half a period apart, two vehicles meet in the
+    Equal parts of the period do not work on a path that crosses itself: half a period apart, two vehicles meet in the
     middle of an eight.
 
     path: function of the phase (k,) [rad], 2 pi in a period, that gives x, y, z [m].  Raises ValueError as `harmonics`.
@@ -134,7 +135,7 @@ def _one_after_the_other(name, vehicles, period_s, motion):
 def harmonics(path, period_s):
     """Rows of a link (see `motions`): the Fourier series of a path, a function as for `figure`.
 
-    Raises ValueError for a path whose series does not end: it has corners, or does not come back to where it began.
+    Raises ValueError for a path whose series does not end: it has corners, or is not closed.
     """
     phases = 2.0 * math.pi * np.arange(_SAMPLES) / _SAMPLES
     points = np.stack(np.broadcast_arrays(*path(phases), phases)[:3])
@@ -218,13 +219,13 @@ def origin(vehicles, height_m=COURSE_HEIGHT_M, spacing_m=0.95):
 
 
 def spin(vehicles, turn_s=30.0, height_m=COURSE_HEIGHT_M, spacing_m=0.95):
-    """Stand as on `origin` and turn, once in turn_s (the original's coop_traj1, which forgot the time)."""
+    """Stand as on `origin` and turn, once in turn_s (the original's coop_traj1, which left out the time)."""
     course = replace(origin(vehicles, height_m, spacing_m), name="spin")
     return course.with_yaw(YawProgram(rate_rad_s=2.0 * math.pi / turn_s))
 
 
 def quadrants(vehicles, reach_m=0.75, height_m=COURSE_HEIGHT_M, rest_s=3.0, move_s=4.0):
-    """From quadrant to quadrant, I to IV, with a rest in each; every vehicle starts in another one."""
+    """From quadrant to quadrant, I to IV, with a rest in each; every vehicle starts in a different one."""
     stops = _quadrant_stops(vehicles, reach_m, height_m)
     paths = [simple_motion(np.insert(own, 0, 0.0, axis=1) + 0j, rest_s=rest_s, move_s=move_s) for own in stops]
     return Course("quadrants", tuple(paths), (rest_s + move_s) * stops.shape[1])
@@ -236,7 +237,7 @@ def quadrant(number, vehicles, reach_m=0.75, height_m=COURSE_HEIGHT_M):
 
 
 def _quadrant_stops(vehicles, reach_m, height_m):
-    """(n, 4, 3) quadrants I to IV, beginning with another one for every vehicle."""
+    """(n, 4, 3) quadrants I to IV, beginning with a different one for every vehicle."""
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * reach_m
     if vehicles > len(corners):
         raise ValueError("quadrants is for at most %d vehicles, got %d" % (len(corners), vehicles))
@@ -256,7 +257,7 @@ def _ring(vehicles, radius_m, height_m):
 COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot, origin, quadrants, slanted8, spin)}
 
 
-# Number of a course by which its vehicles are apart: name, and how much of it a metre of distance is.
+# Parameter of a course that sets the distance of its vehicles: name, and its change per metre of distance.
 _APART = {
     "circles3": ("centre_m", 0.5 / math.sin(math.pi / 3.0)),
     "origin": ("spacing_m", 1.0),
@@ -267,10 +268,10 @@ _APART = {
 
 
 def make_course(name, vehicles, **options):
-    """The Course of that name for so many vehicles.
+    """The Course of that name for a number of vehicles.
 
     name: in COURSES, or Waypoints.  options: the keyword arguments of the function in COURSES.
-    Raises ValueError for an unknown name or option, or a course that is not for so many vehicles.
+    Raises ValueError for an unknown name or option, or a course that cannot be flown by that many vehicles.
     """
     if vehicles < 1:
         raise ValueError("a course needs at least one vehicle, got %r" % (vehicles,))
@@ -293,12 +294,12 @@ def _through_waypoints(waypoints, vehicles):
 
 
 def find_course(name):
-    """What `make_course` takes: a name in COURSES as it is, for a file of waypoints (.yaml) these. ValueError."""
+    """Name for `make_course`: a name in COURSES as it is; for a file (.yaml), its Waypoints. Raises ValueError."""
     return load_waypoints(name) if str(name).endswith(".yaml") else name
 
 
 def course_settings(name):
-    """Dataclass of the numbers that a course takes; through Waypoints: none. Raises ValueError for an unknown name."""
+    """Dataclass of the parameters of a course; Waypoints have none. Raises ValueError for an unknown name."""
     if isinstance(name, Waypoints):
         return make_dataclass("numbers", (), bases=(Settings,), frozen=True)
     if name not in COURSES:
@@ -310,14 +311,14 @@ def course_settings(name):
 
 
 def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
-    """As `make_course`; where one figure cannot keep so many apart inside an Arena, they fly copies of it.
+    """As `make_course`; if one figure cannot keep all vehicles apart inside an Arena, they fly copies of it.
 
     Copies are side by side first, then above each other. Raises ValueError when there is no room. Up to FEW_VEHICLES
     AR.Drones fly one figure in any case.
 
-    wider_m: what the two widest of the fleet reach farther than two AR.Drones (`widest_pair_m`). Where a course has a
-    number for how far apart they are, it is as much larger unless options say it. Up to FEW_VEHICLES of which some are
-    wider fly one figure unless it brings them so near that they would hold: ValueError.
+    wider_m: by how much the two widest of the fleet reach farther than two AR.Drones (`widest_pair_m`). If a course has
+    a parameter for the distance of its vehicles, it is larger by that unless it is in options. Up to FEW_VEHICLES, some
+    of them wider, fly one figure; ValueError if it brings them so near that they would hold.
     """
     safe_m = SAFE_SEPARATION_M + wider_m
     if vehicles <= FEW_VEHICLES:
@@ -332,7 +333,7 @@ def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
                 "fly fewer of them, or a wider course" % (name, vehicles, closest_m, least_m)
             )
         return course
-    copied = make_course(name, 1, **options)  # whatever else is wrong is said here
+    copied = make_course(name, 1, **options)  # raises for all other errors
     whole = _if_for(name, vehicles, options)
     if whole and _room(whole, arena, safe_m):
         return whole
@@ -359,7 +360,7 @@ def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
 
 
 def _if_for(name, vehicles, options):
-    """The course, None when it is not for so many vehicles."""
+    """The course, None when it cannot be flown by that many vehicles."""
     try:
         return make_course(name, vehicles, **options)
     except ValueError:
@@ -378,7 +379,7 @@ def _limits(arena):
 
 
 def _room(course, arena, safe_m):
-    """Whether a course keeps its vehicles so far apart and inside an arena."""
+    """Whether a course keeps its vehicles safe_m apart and inside an arena."""
     (low, high), (least, largest) = _limits(arena), _extent(course)
     inside = (least >= low - 1e-9).all() and (largest <= high + 1e-9).all()
     return inside and course_separation(course, 400) >= safe_m
@@ -397,7 +398,7 @@ def _places_for_copies(course, arena, between_m):
 
 
 def peak_speed_m_s(course):
-    """Largest speed [m/s] that a course asks for."""
+    """Largest speed [m/s] on a course."""
     count = max(400, math.ceil(course.period_s / _SPEED_STEP_S))
     times = course.period_s * np.arange(count) / count
     velocities = (path.at(times, Order.VELOCITY)[Order.VELOCITY, :, : Axis.PSI] for path in course.paths)
@@ -405,7 +406,7 @@ def peak_speed_m_s(course):
 
 
 def parse_speed(speed):
-    """(number, whether it is a factor) of 1.5 [m/s], or of "2x": twice as fast. Raises ValueError."""
+    """(number, whether it is a factor) of a speed: 1.5 [m/s], or "2x" for twice as fast. Raises ValueError."""
     text = str(speed).strip()
     try:
         number = float(text.removesuffix("x"))
@@ -417,9 +418,9 @@ def parse_speed(speed):
 
 
 def speed_factor(course, speed):
-    """How many times as fast a course is to be flown.
+    """Factor by which a course is to be flown faster.
 
-    speed: its largest speed [m/s]; "2x": so many times its own; "": as it is.  Raises ValueError.
+    speed: its largest speed [m/s]; "2x": twice its own; "": unchanged.  Raises ValueError.
     """
     if speed == "":
         return 1.0
@@ -433,7 +434,7 @@ def speed_factor(course, speed):
 
 
 def speed_text(course, factor):
-    """What `speed_factor` takes for a factor, rounded down."""
+    """Speed as a text for `speed_factor` that gives this factor, rounded down."""
     own_m_s = peak_speed_m_s(course)
     speed = math.floor(100.0 * factor * (own_m_s or 1.0)) / 100.0
     return "%.2f" % speed if own_m_s else "%.2fx" % speed

@@ -1,14 +1,14 @@
-"""What every vehicle's reference is at any time: hold, approach, course, home (the brain of all trajectory nodes).
+"""References of all vehicles at any time: hold, approach, course, home (the core of all trajectory nodes).
 
 The reference of a vehicle in manual mode is the place where it is seen. When its vehicle node reports autonomous mode
 it flies smoothly to its place on the course, meeting it in position to snap, and stays on the course until it is sent
 home. Ways are planned together (`transitions.py`), so that vehicles keep apart on them too. Times are seconds of any
 one clock.
 
-Planning takes up to some tenths of a second. Offline the manager plans at once. A node that publishes references says
-how long after the order ways begin (`lead_s`), takes the `task`, plans it in another thread with `plan_ways`, and gives
-the plan to `accept`. Until its way begins a vehicle goes on as before. An order or a change of mode meanwhile changes
-the task, and `accept` refuses the plan of the old one.
+Planning takes up to some tenths of a second. Offline the manager plans at once. A node that publishes references sets
+how long after the order ways begin (`lead_s`), takes the `task`, plans it in another thread with `plan_ways`, and
+passes the plan to `accept`. Until its way begins a vehicle continues as before. If an order or a change of mode changes
+the task meanwhile, `accept` refuses the old plan.
 """
 
 import math
@@ -26,13 +26,13 @@ from risc_lab.states import AIRBORNE_M
 
 _FLIES = (Phase.APPROACH, Phase.COURSE)
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
-_DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
+_DEEPEST = 4  # nested blends; after more orders in a short time the next way begins at a coasting vehicle
 
 
 class Reference(NamedTuple):
     """References of all vehicles at one time."""
 
-    derivatives: np.ndarray  # (orders, n, 4) x, y, z, psi: value to snap, or as far as is asked for
+    derivatives: np.ndarray  # (orders, n, 4) x, y, z, psi: value to snap, or to the order that was asked for
     phases: tuple  # of Phase
 
 
@@ -51,14 +51,14 @@ class TrajectoryManager:
         order=Order.SNAP,
         safe_m=SAFE_SEPARATION_M,
     ):
-        """names: of the vehicles.  homes: a Home each.  course: Course for so many vehicles.
+        """names: of the vehicles.  homes: a Home each.  course: Course for that many vehicles.
 
         smooth=False: on the course from the first moment on, in every mode (simulations, teaching).
-        wait_for_all: nobody starts while another vehicle hovers there that is not flown automatically: courses lead
-        through the places where the others wait.
+        wait_for_all: no vehicle starts while another one hovers that is not flown automatically: courses lead through
+        the places where the others wait.
         lead_s: ways begin this long after the order [s], and another thread plans them; None: they are planned at once.
-        order: as `ask` takes it.
-        safe_m: distance that ways keep between any two vehicles, if that can be.
+        order: see `ask`.
+        safe_m: distance that ways keep between any two vehicles, if possible.
         """
         if not len(names) == len(homes) == len(course.paths):
             raise ValueError("%d vehicles, %d homes and a course for %d" % (len(names), len(homes), len(course.paths)))
@@ -67,7 +67,7 @@ class TrajectoryManager:
         self.limits, self.safe_m = limits or WayLimits(), safe_m
         self.closest_m = math.inf  # smallest planned distance of the last plan
         self.task = None  # what is to be planned now; None = nothing
-        self._orders = {}  # {home: {vehicles}} that are not planned yet, in turn; the first is the task
+        self._orders = {}  # {home: {vehicles}} not planned yet, in order; the first is the task
         self._lead_s, self._inline = lead_s or 0.0, lead_s is None
         self._homes = tuple(homes)
         self._unordered = course
@@ -78,20 +78,20 @@ class TrajectoryManager:
         self._autonomous = [False] * len(names)
         self._airborne = [False] * len(names)
         self._smooth, self._wait_for_all = smooth, wait_for_all
-        self._epoch_s = None  # when the course began; None = nobody flies it yet
+        self._epoch_s = None  # when the course began; None = no vehicle flies it yet
         self._joining_s = None  # when the vehicles that became autonomous start
         self._joining = set()
         self._motions = [None] * len(names)  # None = it stands where it is seen
         self._phases = (Phase.HOLD,) * len(names)
-        self._chains = None  # the motions as compiled code takes them; None = they have changed
-        self._smooth_to = self._highest = int(Order.SNAP)  # of the ways; derivative of the references
+        self._chains = None  # the motions, for compiled code; None = they have changed
+        self._smooth_to = self._highest = int(Order.SNAP)  # order of the ways; highest derivative of the references
         self.ask(order)
         self._evaluate(0.0)
         load()
 
     def ask(self, order):
         """A controller reads derivatives to this order: from now on references have `sample_orders` of them, and ways
-        are continuous to the order. It is never less than the snap, nor than what was asked before.
+        are continuous to it. The order never falls below the snap, or below one asked for before.
 
         Raises ValueError as `sample_orders`.
         """
@@ -101,7 +101,7 @@ class TrajectoryManager:
     # ---------------------------------------------------------------------------------------------- what happens
 
     def see(self, name, position_m, velocity_m_s, yaw_rad):
-        """A vehicle was seen there (cortex frame, yaw in the NED sense): its reference while nobody flies it."""
+        """A vehicle was seen (cortex frame, yaw in the NED sense): this is its reference while it is in manual mode."""
         i = self._index[name]
         if not math.isfinite(sum(position_m) + sum(velocity_m_s) + yaw_rad):
             return
@@ -113,7 +113,7 @@ class TrajectoryManager:
 
     @property
     def watching(self):
-        """True while it matters where the vehicles are: some are not flown automatically."""
+        """True while measured positions are needed: some vehicles are not flown automatically."""
         return not all(self._autonomous)
 
     def waiting_for(self, now_s):
@@ -124,12 +124,12 @@ class TrajectoryManager:
         return tuple(name for name, airborne, autonomous in others if airborne and not autonomous)
 
     def set_autonomous(self, name, autonomous, now_s):
-        """A vehicle is, or is no longer, flown by its references. Returns whether that is new."""
+        """A vehicle is, or is no longer, flown by its references. Returns whether that has changed."""
         i = self._index[name]
         if autonomous == self._autonomous[i]:
             return False
         if self._smooth and not autonomous:
-            # until it is seen again it is where it was to be
+            # until it is seen again it is assumed to be at its reference
             place = self.sample(now_s).derivatives[Order.POSITION, i]
             self._seen_m[i], self._seen_yaw_rad[i], self._velocity[i] = place[:3], place[3], 0.0
         self._autonomous[i] = autonomous
@@ -146,7 +146,7 @@ class TrajectoryManager:
             if not any(self._autonomous):
                 self._epoch_s = None
             stay = [i]
-            if self._epoch_s is None:  # those who were about to be the first may have to wait for this one
+            if self._epoch_s is None:  # vehicles that were about to start may have to wait for this one
                 about = {k for k in self._orders.get(False, set()) - {i} if self._phases[k] is Phase.HOLD}
                 self._joining |= about
                 stay += about
@@ -154,7 +154,7 @@ class TrajectoryManager:
         return True
 
     def set_course(self, course, now_s):
-        """Leave what is flown for another course (for as many vehicles), smoothly."""
+        """Change smoothly to another course, for the same number of vehicles."""
         if len(course.paths) != len(self.names):
             raise ValueError("the course is for %d vehicles, there are %d" % (len(course.paths), len(self.names)))
         movers = [i for i, phase in enumerate(self.sample(now_s).phases) if phase in _FLIES]
@@ -191,9 +191,9 @@ class TrajectoryManager:
     # --------------------------------------------------------------------------------------------------- planning
 
     def accept(self, task, plan, now_s):
-        """Fly as planned. Returns False, and flies nothing, when the task has changed or the time is too late for it.
+        """Fly a plan. Returns False, and does not fly it, when the task has changed or the plan comes too late.
 
-        Then there is another `task`, if any is left.
+        There is a new `task` then, if any vehicle is left to plan.
         """
         if task is not self.task:
             return False
@@ -212,14 +212,14 @@ class TrajectoryManager:
         return True
 
     def _order(self, movers, home, now_s):
-        """Vehicles are to fly home or to the course, whatever they were to do before."""
+        """Vehicles are to fly home or to the course; their earlier orders are dropped."""
         for waiting in self._orders.values():
             waiting.difference_update(movers)
         self._orders.setdefault(home, set()).update(movers)
         self._drop([], now_s)
 
     def _drop(self, stay, now_s):
-        """These are not to fly anywhere; what is left is planned anew."""
+        """Drop the orders of these vehicles, and plan the others again."""
         self._orders = {home: waiting.difference(stay) for home, waiting in self._orders.items()}
         self._orders = {home: waiting for home, waiting in self._orders.items() if waiting}
         self._plan_next(now_s)
@@ -227,12 +227,12 @@ class TrajectoryManager:
     def _plan_next(self, now_s):
         self.task = self._next_task(now_s) if self._orders else None
         if self._inline and self.task is not None:
-            self.accept(self.task, plan_ways(self.task), now_s)  # and then what comes after it
+            self.accept(self.task, plan_ways(self.task), now_s)  # plans the next task, too
 
     def _next_task(self, now_s):
         home, movers = next(iter(self._orders.items()))
         begin_s = now_s + self._lead_s
-        # on the way to a course vehicles in manual mode are left out: nobody knows where their pilots will fly them
+        # on the way to a course vehicles in manual mode are left out: where they will be flown is unknown
         others = [i for i in range(len(self.names)) if i not in movers and (home or self._autonomous[i])]
         return Task(
             begin_s,
@@ -287,7 +287,7 @@ class TrajectoryManager:
         return Reference(derivatives, self._phases)
 
     def _hold(self, i, motion):
-        """A vehicle flies this motion; None: it stands where it is seen."""
+        """Set the motion of a vehicle; None: it stands where it is seen."""
         self._motions[i], self._chains = motion, None
 
     def _motion(self, i):
@@ -297,7 +297,7 @@ class TrajectoryManager:
 def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=TrajectoryManager, **options):
     """TrajectoryManager of FleetVehicles: home is above where they started, and wide ones are kept farther apart.
 
-    kind: it, or a subclass.  options: of TrajectoryManager.
+    kind: TrajectoryManager or a subclass.  options: of TrajectoryManager.
     """
     homes = [Home((v.start.position_m[0], v.start.position_m[1], home_height_m), v.start.yaw_rad) for v in vehicles]
     safe_m = SAFE_SEPARATION_M + widest_pair_m(vehicles)

@@ -5,9 +5,9 @@ duration. An assignment decides which vehicle flies which path. The first attemp
 together: that is soonest and, on the nearest paths, mostly keeps them apart. Where it does not, single vehicles leave
 later, take longer, or fly over the others, until every pair is far enough apart. The yaw may take longer than the path.
 
-Ways are smooth to the order of their task: continuous with so many derivatives, also where they begin and end (the yaw:
-to its acceleration). The cost grows with the square of the number of vehicles. The same task gives the same plan:
-nothing here knows a clock.
+Ways are smooth to the order of their task: all derivatives to it are continuous, also at start and end (the yaw: to its
+acceleration). The computing time grows with the square of the number of vehicles. The same task gives the same plan:
+nothing here reads a clock.
 """
 
 import math
@@ -26,8 +26,8 @@ from risc_control.trajectories import Course, minimum_separation, on_course
 from risc_lab.compiled import compiled
 from risc_lab.settings import Positive, Settings
 
-_STEP_S = 0.25  # distances are those of ways that are straight for this long; the true ones are up to 0.01 m smaller
-_BEYOND_M = 0.01  # more than is safe is enough,
+_STEP_S = 0.25  # for distances, ways count as straight over this time; the true ones are up to 0.01 m smaller
+_BEYOND_M = 0.01  # more than the safe distance is enough,
 _DELAY_SPAN_S = 9.0  # candidate delays span this time, or that of the ways if it is longer
 _DELAYS = np.linspace(0.0, 1.0, 13)  # as fractions of the span
 _MANY = 20  # with more vehicles than this every other delay is tried
@@ -37,23 +37,23 @@ _RISE_STRETCHES = (1.1, 1.5, 2.0)  # candidate durations of a way that rises, ov
 _WORTH_M = 0.02  # this much more distance is worth a later arrival
 _TRIES = 3  # changes of options that are tried: for each vehicle,
 _MORE_TRIES = 40  # and for all together
-_FRACTIONS = np.linspace(0.0, 1.0, 32)  # of a way, where its speed is looked at
-_LITTLE_MORE = 1.1  # than its course a way may ask for in any case
+_FRACTIONS = np.linspace(0.0, 1.0, 32)  # of a way, where its speed is sampled
+_LITTLE_MORE = 1.1  # of the peaks of its course are always allowed on a way
 _DURATION_STEP = 1.15  # ratio of the durations that are tried
 
 _COURSE_STARTS = 12  # candidate moments of the course at which the vehicles set out for it
 _COURSE_GRID_S = 0.05  # resolution of the course for that choice
-_ROUGH_FRACTIONS = np.linspace(0.0, 1.0, 41)  # of each way, where distances are looked at
-_GENTLE = 1.35  # ways to a course take so much longer than from rest to rest at the limits
-_SPARE_M = 0.1  # of separation beyond what is needed: more room for tracking errors,
-_SPARE_S_M = 20.0  # and each metre of it is worth so many seconds; what is needed is worth any detour,
-_NEEDED_S_M = 1000.0
+_ROUGH_FRACTIONS = np.linspace(0.0, 1.0, 41)  # of each way, where distances are sampled
+_GENTLE = 1.35  # ratio of the time of a way to a course to that from rest to rest at the limits
+_SPARE_M = 0.1  # separation beyond what is needed: more room for tracking errors;
+_SPARE_S_M = 20.0  # cost [s] of each metre of it that is lacking; and of each metre that is needed,
+_NEEDED_S_M = 1000.0  # which is worth any detour
 _PEAK_SPEED, _PEAK_ACCELERATION = 2.46, 7.52  # about, of a least-snap step of 1 m in 1 s [m/s, m/s^2]
 
 
 @dataclass(frozen=True)
 class WayLimits(Settings):
-    """What the ways to the course and home may ask of a vehicle."""
+    """Limits of the ways to the course and home."""
 
     speed_m_s: Positive = 0.6
     acceleration_m_s2: Positive = 0.5
@@ -61,7 +61,7 @@ class WayLimits(Settings):
     shortest_s: Positive = 2.5
     longest_s: Positive = 40.0
     highest_m: Positive = 2.4  # a way that leads over others goes no higher
-    # what they never ask for, however fast the course is
+    # limits however fast the course is
     speed_most_m_s: Positive = math.inf
     acceleration_most_m_s2: Positive = math.inf
 
@@ -72,33 +72,33 @@ class WayLimits(Settings):
 
 
 class Home(NamedTuple):
-    """Where a vehicle goes at the end."""
+    """Position and yaw to which a vehicle returns at the end."""
 
     position_m: tuple  # (3,) cortex frame
     yaw_rad: float
 
 
 class Task(NamedTuple):
-    """What is to be planned, with all that it takes. None of it changes afterwards."""
+    """What is to be planned, with all inputs. None of it changes afterwards."""
 
     begin_s: float  # the earliest departure
     starts: dict  # {vehicle: its present motion} of the vehicles that are to leave, in order
-    others: tuple  # motions of the other vehicles, which keep to them and are to be avoided
+    others: tuple  # motions of the other vehicles, which are not changed and are to be avoided
     places_m: np.ndarray  # (n, 3) where each vehicle was seen last
     course: Course
     epoch_s: float | None  # when the course began; None: the plan chooses it, and which vehicle flies which path
     homes: tuple | None  # Home of each vehicle; None: they fly to the course
     limits: WayLimits
-    calls: tuple  # what their motions call the way, and what comes after it
+    calls: tuple  # numbers of their motions for the way, and for what comes after it
     smooth: int  # order to which the ways are continuous
-    safe_m: float  # distance that is to be kept between any two, if that can be
+    safe_m: float  # distance that is to be kept between any two, if possible
 
 
 class Plan(NamedTuple):
-    """How they fly."""
+    """Result of the planning."""
 
     ways: dict  # {vehicle: Motion}
-    course: Course  # reordered, when who flies which path was free
+    course: Course  # reordered, if the assignment of paths was free
     epoch_s: float | None
     closest_m: float  # smallest distance between two vehicles
 
@@ -139,10 +139,10 @@ def load():
 
 
 class _Option(NamedTuple):
-    """How a vehicle may fly its way. A level one is better than one that leads higher."""
+    """How a vehicle may fly its way. Without a rise is better than with one."""
 
     rise_m: float
-    arrival_s: float  # after the time when the first may leave
+    arrival_s: float  # after the earliest departure
     delay_s: float
     duration_s: float
 
@@ -166,13 +166,13 @@ class _Timetable:
     """Delays, durations and rises of given ways."""
 
     def __init__(self, pairs, task, shortest_s, together_s):
-        """shortest_s: in which all the ways of these pairs keep the limits.
+        """shortest_s: duration in which all the ways of these pairs keep the limits.
 
-        together_s: the same, if all leave at once, of a choice that is worth to be tried first.
+        together_s: duration of the ways, all leaving at once, of the choice that is tried first.
         """
         self._pairs, self._begin_s, self._limits = pairs, task.begin_s, task.limits
         delays = _DELAYS if len(pairs) <= _MANY else _DELAYS[::2]
-        # the best first: level, then soon
+        # the best first: without rise, then early
         self.options = _options(delays, shortest_s, together_s, task.limits, task.safe_m)
         self._level = sum(option.rise_m == 0.0 for option in self.options)
         self._first = self.options.index(_Option(0.0, together_s, 0.0, together_s))
@@ -180,20 +180,20 @@ class _Timetable:
         times = np.arange(0.0, max(option.arrival_s for option in self.options) + 2.0 * _STEP_S, _STEP_S)
         rises_m, _, delays_s, durations_s = np.array(self.options).T[..., None]
         fractions = (times - delays_s) / durations_s
-        # (options, 2, t): how far a way is, 0 to 1, and how much higher [m]
+        # (options, 2, t): progress along the way, 0 to 1, and the rise [m]
         how_high_m = rises_m * rise_values(fractions, task.smooth)
         self._steps = np.stack([step_values(fractions, task.smooth), how_high_m], axis=1)
         self._starts = _positions([pair.start for pair in pairs], task.begin_s + times)  # (movers, t, 3)
         self._ends = _positions([pair.end for pair in pairs], task.begin_s + times)
-        # tracks of all with the present choice: those who leave, then the others
+        # tracks of all with the present choice: the vehicles that leave, then the others
         self._tracks = np.concatenate([self._starts, _positions(task.others, task.begin_s + times)])
-        self._near_m = np.full((len(self._tracks), len(self._tracks)), math.inf)  # smallest distance of two
+        self._near_m = np.full((len(self._tracks), len(self._tracks)), math.inf)  # smallest distance of each pair
         apart_m = minimum_separation(np.ascontiguousarray(self._ends.transpose(1, 0, 2)))
-        # more cannot be had on a course that has less itself
+        # no more is possible than the course itself has
         self._enough_m = min(task.safe_m + _BEYOND_M, apart_m - 0.003)
 
     def best(self):
-        """(smallest distance, choice: an option for each of those who leave): apart if that can be, then soon."""
+        """(smallest distance, choice: an option for each vehicle that leaves): apart if possible, then early."""
         best = self._all_choose([self._first] * len(self._pairs))
         if best[0] < self._enough_m:
             staggered = self._staggered(best[1])
@@ -213,7 +213,7 @@ class _Timetable:
         return max(self.options[option].arrival_s for option in choice)
 
     def _better_of(self, known, found):
-        """Of two (smallest distance, choice) the first, unless the second is better by far, or enough and sooner."""
+        """Of two (smallest distance, choice) the first, unless the second is clearly farther, or enough and earlier."""
         if known[0] >= self._enough_m:
             is_better = found[0] >= self._enough_m and self._arrival_s(found[1]) < self._arrival_s(known[1])
         else:
@@ -242,9 +242,9 @@ class _Timetable:
         return float(self._near_m.min()), list(choice)
 
     def _staggered(self, choice):
-        """(smallest distance, choice): some options changed, one after the other, so that all come less near."""
+        """(smallest distance, choice): some options changed, one after the other, to increase the distances."""
         best, choice, movers = self._all_choose(choice), list(choice), len(choice)
-        weights = np.ones(self._near_m.shape)  # who gets stuck with whom counts more from then on
+        weights = np.ones(self._near_m.shape)  # pairs that stay too near count more from then on
         tries = _TRIES * movers + _MORE_TRIES
         while tries > 0 and best[0] < self._enough_m:
             changed = False
@@ -262,7 +262,7 @@ class _Timetable:
         return self._hastened(best[1]) if best[0] >= self._enough_m else best
 
     def _hastened(self, choice):
-        """(smallest distance, choice): who arrives last comes sooner, if that is apart as well."""
+        """(smallest distance, choice): vehicles arrive earlier, the last one first, if they stay apart."""
         _, choice = self._all_choose(choice)
         weights = np.ones(self._near_m.shape)
         for i in sorted(range(len(choice)), key=lambda i: -self.options[choice[i]].arrival_s):
@@ -277,7 +277,7 @@ class _Timetable:
         return self._all_choose(choice)
 
     def _lacking(self, i, weights):
-        """(options,) how much distance to all others vehicle i lacks; weights (n, n): how much each pair counts."""
+        """(options,) weighted sum of the distances that vehicle i lacks to all others. weights: (n, n) of the pairs."""
         own_m, lacking_m = np.concatenate([self._starts[i], self._ends[i]]), np.empty(len(self.options))
         low_m, high_m = own_m.min(axis=0) - self._enough_m, own_m.max(axis=0) + self._enough_m
         high_m[Axis.Z] += self._steps[:, 1].max()
@@ -288,7 +288,7 @@ class _Timetable:
         return lacking_m
 
     def _better(self, i, present, weights):
-        """An option of a vehicle with which it comes less near to the others than now; None = there is none."""
+        """An option of a vehicle with which it lacks less distance to the others than now; None = there is none."""
         lacking_m = self._lacking(i, weights)
         better = [k for k in np.argsort(lacking_m, kind="stable") if lacking_m[k] <= lacking_m[present] - 1e-6]
         return next((option for option in better if self._fits(i, option)), None)
@@ -302,7 +302,7 @@ def _positions(motions, times_s):
 
 @compiled
 def _fly(start_m, end_m, steps, track_m):
-    """track_m (t, 3) becomes the way from one track to another; steps (2, t): how far, and how much higher."""
+    """Fill track_m (t, 3) with the way from one track to another; steps (2, t): progress, and rise."""
     for k in range(len(track_m)):
         for axis in range(3):
             track_m[k, axis] = start_m[k, axis] + steps[0, k] * (end_m[k, axis] - start_m[k, axis])
@@ -328,7 +328,7 @@ def _nearest(first_m, second_m):
 
 @compiled
 def _update_distances(tracks_m, i, near_m):
-    """near_m (n, n): row and column of vehicle i for tracks (n, t, 3)."""
+    """Update row and column of vehicle i in near_m (n, n) for tracks (n, t, 3)."""
     for j in range(len(tracks_m)):
         if j != i:
             near_m[i, j] = near_m[j, i] = _nearest(tracks_m[i], tracks_m[j])
@@ -336,9 +336,9 @@ def _update_distances(tracks_m, i, near_m):
 
 @compiled
 def _lacking(start_m, end_m, steps, tracks_m, enough_m, weights, lacking_m):
-    """lacking_m (options,): how much distance to all tracks (n, t, 3) together a vehicle lacks with each option.
+    """Fill lacking_m (options,): weighted sum of the distances to tracks (n, t, 3) that a vehicle lacks by option.
 
-    steps: (options, 2, t) as of `_fly`.  weights: (n,) how much each track counts.
+    steps: (options, 2, t) as of `_fly`.  weights: (n,) of the tracks.
     """
     track_m = np.empty(start_m.shape)
     for option in range(len(steps)):
@@ -353,7 +353,7 @@ def _lacking(start_m, end_m, steps, tracks_m, enough_m, weights, lacking_m):
 
 
 def _begin_course(task):
-    """Who gets which path, and when the course begins: what keeps them apart first, then what is soon there.
+    """Choose which vehicle flies which path, and when the course begins: far enough apart first, then early.
 
     Returns (course reordered, its epoch, least time of the ways [s], time of the ways when all leave together [s]).
     """
@@ -371,7 +371,7 @@ def _begin_course(task):
     for course_s in course.period_s * np.arange(_COURSE_STARTS) / _COURSE_STARTS:
         _, far_m = _assignment(here_m[0], slots(course_s))
         about_s = _GENTLE * max(limits.shortest_s, _PEAK_SPEED * far_m / limits.speed_m_s)
-        # two that fly on the lines of the shortest squares come no closer than their starts and ends are apart
+        # two vehicles on the lines of least squared length come no closer than their starts or their ends are apart
         for part in (0.0, 0.5, 1.0, 2.0):
             then = min(int(part * about_s / _STEP_S), len(times) - 1)
             order, far_m = _assignment(here_m[then], slots(course_s + part * about_s))
@@ -392,7 +392,7 @@ def _begin_course(task):
                 break
             if all(pair.fits(begin_s, duration_s, limits) for pair in pairs):
                 best_s, best = cost_s, (order, course_s, pairs, float(duration_s))
-        if best is None:  # perhaps nothing keeps the limits
+        if best is None:  # perhaps no way keeps the limits
             best = order, course_s, pairs, float(limits.longest_s)
     order, course_s, pairs, together_s = best
     shortest_s = min(together_s, max(_shortest_s(pairs, begin_s, limits), choices[course_s, order][1]))
@@ -401,13 +401,13 @@ def _begin_course(task):
         pairs = [_Pair(start, on_course(course, order[i], epoch_s)) for i, start in task.starts.items()]
         return max(pair.turning(begin_s, together_s, limits)[0] for pair in pairs)
 
-    # paths repeat sooner than the yaw: any round will do
+    # paths repeat earlier than the yaw: any round may be chosen
     epochs_s = begin_s - course_s - np.arange(0.0, course.repeat_s - 1e-6, course.period_s)
     return course.reordered(order), float(min(epochs_s, key=turning_s)), shortest_s, together_s
 
 
 def _worth_s(apart_m, safe_m):
-    """What detours are worth that keep vehicles apart that come so near [s]."""
+    """Cost [s] of coming within apart_m of each other, to be weighed against the time of a detour."""
     spare_m, needed_m = safe_m + _SPARE_M - apart_m, safe_m - apart_m
     return _SPARE_S_M * np.maximum(0.0, spare_m) + _NEEDED_S_M * np.maximum(0.0, needed_m)
 
@@ -420,10 +420,10 @@ def _assignment(here_m, there_m):
 
 
 def _rough_distances(here_m, paths_m, rows, durations_s, smooth):
-    """(d,) smallest distance [m] between two vehicles on ways that all take as long, for each of the durations (d,).
+    """(d,) smallest distance [m] between two vehicles on ways of equal duration, for each of the durations (d,).
 
-    here_m: (t, n, 3) where each is, every _STEP_S.  paths_m: (k, n, 3) where it is to be; rows: (d, _ROUGH_FRACTIONS)
-    of these, and fractions of a row.
+    here_m: (t, n, 3) present positions, every _STEP_S.  paths_m: (k, n, 3) positions on the course; rows:
+    (d, _ROUGH_FRACTIONS) indices of these, with fractions.
     """
     now = np.minimum((_ROUGH_FRACTIONS * durations_s[:, None] / _STEP_S).astype(int), len(here_m) - 1)
     low = rows.astype(int)
@@ -438,7 +438,7 @@ def _rough_distances(here_m, paths_m, rows, durations_s, smooth):
 
 
 class _Pair(NamedTuple):
-    """Two motions, from one to the other of which a vehicle flies."""
+    """Two motions: a vehicle flies from the first into the second."""
 
     start: object
     end: object
@@ -446,8 +446,8 @@ class _Pair(NamedTuple):
     def fits(self, begin_s, duration_s, limits, rise_m=0.0):
         """Whether a blend keeps speed and acceleration.
 
-        A motion may ask for more than is allowed by itself (a fast course): then its own peaks are the limits, and a
-        little more as far as the vehicles can.
+        A motion may itself need more than is allowed (a fast course): then its own peaks are the limits, and a little
+        more, as far as the vehicles can fly it.
         """
         first, last = (motion.at(begin_s + duration_s * _FRACTIONS, Order.ACCELERATION)[..., :3] for motion in self)
         smooth = int(self.end.links["smooth"][0])
@@ -464,12 +464,12 @@ class _Pair(NamedTuple):
         return bool((peaks <= allowed).all())
 
     def turning(self, begin_s, duration_s, limits):
-        """(how long the nose takes [s], revolutions beyond the nearest): the soonest that keeps the yaw rate."""
+        """(duration of the turn [s], revolutions beyond the nearest): the shortest that keeps the yaw rate."""
         best_rad_s, best = math.inf, None
         while True:
             times = begin_s + duration_s * _FRACTIONS
             first, last = (motion.at(times, Order.ACCELERATION)[..., Axis.PSI] for motion in self)
-            # a motion may turn faster by itself
+            # a motion may itself turn faster
             allowed_rad_s = max(limits.yaw_rate_rad_s, 1.2 * np.abs([first[1], last[1]]).max())
             for revolutions in (0, -1, 1):
                 polynomial = turn(first[:, 0], last[:, -1], duration_s, revolutions)

@@ -1,7 +1,7 @@
-"""What one vehicle's joystick node decides: mode, commands, take-off and landing. No ROS.
+"""Decisions of the vehicle node for one vehicle: mode, commands, take-off and landing. No ROS.
 
-The node feeds in what arrives and carries out the `Orders` that come back. Times `now_s` are seconds of a clock that
-never steps; `age_s` is the age of a message by its stamp when it arrived.
+The node feeds in what arrives and carries out the `Orders` that are returned. Times `now_s` are seconds of a monotonic
+clock; `age_s` is the age of a message by its stamp when it arrived.
 """
 
 import math
@@ -33,51 +33,51 @@ from risc_lab.settings import Count, NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
-# armed on the ground, and not by us; told to arm for a take-off
+# INIT: armed on the ground, but not by us; TAKING_OFF: told to arm
 _ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
-_TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
-_AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
-_AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
-_STOPS_S = 1.0  # in which it stops, at the most, before it lands
-_WAITS_S = 0.05  # a state that is only late comes within so long: until then it is level, and not braked
-_TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
+_TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. y and z exchanged
+_AVOID_RAD_PER_M_S = 0.15  # while avoiding others: tilt per velocity error; stops it as well as its own position hold,
+_AVOID_TILT_MAX_RAD = 0.2  # which ends with the first command to climb
+_STOPS_S = 1.0  # longest time for stopping before it lands
+_WAITS_S = 0.05  # a state that is only late comes within this time: until then the vehicle is level, not braked
+_TILTS_S = 0.1  # time constant of the commanded tilt that the fence uses
 _NEARLY_FULL = 0.999
-_SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
+_SLOWER = 59.0 / 60.0  # of the rate at which the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
 
 
 @dataclass(frozen=True)
 class VehicleNodeParams(JoystickParams, SafetyLimits):
-    """All parameters of the vehicle node, by their names on the parameter server; of its own those that are neither the
-    joystick's mapping nor the ladder's.
+    """All parameters of the vehicle node, by their names on the parameter server: here its own; those of the joystick
+    mapping and of the ladder are inherited.
 
     Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
     """
 
     Simulation: bool = False  # send commands without navdata, for simulators that have none
-    # [Hz] 0 or negative: a sixtieth slower than the vehicle takes them (29.5 of 30). At the same rate commands that
-    # come now just before, now just after the channel's turn would do so for the whole flight (one vehicle in seven),
+    # [Hz] 0 or negative: a sixtieth slower than the vehicle takes them (29.5 of 30). At the same rate, commands that
+    # come close to the channel's slot would fall now before, now after it for the whole flight (one vehicle in seven),
     # be lost in pairs, and double its tracking error
     command_rate_hz: float = -1.0
-    status_rate_hz: Positive = 30.0  # [Hz] how often controller_status is told; a change is told at once
-    land_repeat_s: Positive = 0.2  # [s] how often a landing of the ladder is ordered until the vehicle stands
-    takeoff_grace_s: NotNegative = 3.0  # [s] a take-off ordered may show that late: until then "landed" is not proof
-    # HOLD: True, its bottom camera sees the floor: an AR.Drone's own velocity counts, and all zero is sent, on which it
-    # holds its place; False, it does not (a floor without texture): what it does is reckoned, and it is kept level
+    status_rate_hz: Positive = 30.0  # [Hz] how often controller_status is published; a change is published at once
+    land_repeat_s: Positive = 0.2  # [s] interval at which the ladder repeats a landing order until the vehicle stands
+    takeoff_grace_s: NotNegative = 3.0  # [s] longest time until a take-off is reported: until then "landed" is no proof
+    # HOLD, True: the bottom camera sees the floor: an AR.Drone's own velocity is used, and zero commands are sent, on
+    # which it holds its place; False (a floor without texture): its velocity is that of the model, and it is kept level
     hold_auto_hover: bool = True
-    preflight: bool = True  # no take-off before motion capture and what stands around are as a flight needs them
-    preflight_markers: Count = 0  # so many of its markers must be seen before a take-off; 0: all of its template
+    preflight: bool = True  # refuse a take-off until motion capture and the surroundings are fit for flight
+    preflight_markers: Count = 0  # number of its markers that must be seen before a take-off; 0: all of its template
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
-    # HOLD: the model is corrected by what it was wrong by before, and by the tilt and the height that the vehicle says
-    # to have; False: the model alone
+    # HOLD: the model is corrected by its earlier errors, and by the tilt and the height that the vehicle reports;
+    # False: the model alone
     hold_corrects: bool = True
 
     def rate_hz(self, vehicle_type):
-        """At which a vehicle of a type is sent commands."""
+        """Rate of the commands to a vehicle of a type [Hz]."""
         return self.command_rate_hz if self.command_rate_hz > 0.0 else _SLOWER * vehicle_type.command_rate_hz
 
 
 class OwnState(NamedTuple):
-    """Own entry of /cortex_raw, as far as the node needs it; cortex frame (z up)."""
+    """What the node needs of the vehicle's entry of /cortex_raw; cortex frame (z up)."""
 
     position_m: tuple
     velocity_m_s: tuple
@@ -91,25 +91,25 @@ class SentCommand(NamedTuple):
 
     sticks: Sticks
     answers: object  # the stamp of the /controls that it answers, as `on_controls` was given it; None = it answers none
-    settles_at: np.ndarray  # (4,) what the vehicle makes of it: see `command_history.Channel`
+    settles_at: np.ndarray  # (4,) what the vehicle settles at: see `command_history.Channel`
 
 
 class Orders:
-    """What the node has to do now, in this order. What is not set on an object is that of the class: nothing."""
+    """What the node has to do now, in this order. By default (class attributes) nothing."""
 
     reset = False
     takeoff = False
     land = False
-    disarm = False  # it stands, as far as can be seen; of a type that does not fly itself
+    disarm = False  # it seems to stand; only for a type that does not fly itself
     command = None  # SentCommand
     level_only = False  # the command must not start the vehicle's own position hold
-    status = None  # autonomous?, when it is time to say so
+    status = None  # autonomous?, when its publication is due
     mode = None  # autonomous?, when that has just changed
     simulator_reset = None  # value for the parameter RESET of simulators
     safety = None  # Verdict, when it has just changed
     shut_down = False
-    refusals = None  # why it does not take off, sentences: none, it does; None: nobody asked for that
-    answer = None  # (done, what happens in a sentence) to who asked for a landing
+    refusals = None  # [reason why it does not take off], empty if it does; None: no take-off was requested
+    answer = None  # (done, what happens in a sentence) for the caller of the landing service
     log = ()  # of (level "info" | "warn" | "error", sentence)
 
     def say(self, level, sentence):
@@ -121,12 +121,12 @@ class SlotClock:
     """Lets one of many ticks through per slot, so that the average rate is exact whatever the ticks' rate."""
 
     def __init__(self, rate_hz, begin_s=0.0):
-        """begin_s: when a slot begins; clocks with the same one let the same tick through."""
+        """begin_s: start of a slot; clocks with equal begin_s let the same tick through."""
         self._period_s = 1.0 / rate_hz
-        self.next_s = begin_s  # when the next slot begins that was not used
+        self.next_s = begin_s  # start of the next unused slot
 
     def due(self, now_s):
-        """True when a slot has begun that was not used; uses it."""
+        """True if an unused slot has begun; it then counts as used."""
         if now_s < self.next_s:
             return False
         self.next_s += self._period_s * (1 + (now_s - self.next_s) // self._period_s)
@@ -138,15 +138,15 @@ class SlotClock:
 
 
 class VehiclePilot:
-    """Joystick state machine, input mapping and loss ladder of one vehicle."""
+    """Joystick state machine, input mapping and failsafe ladder of one vehicle."""
 
     def __init__(
         self, params, vehicle_type, now_s, slot_s=0.0, before=None, nearest=lambda: None, listens_since_s=-math.inf
     ):
         """params: VehicleNodeParams.  slot_s: when a slot for commands begins, see `SlotClock`.
 
-        before: VehiclePilot that this one follows, or None; a button that is still down is not pressed again.
-        nearest: function that gives `preflight.Facts.nearest`.  listens_since_s: see `joystick.ButtonEdges`.
+        before: VehiclePilot that this one replaces, or None; a button that is still down is not pressed again.
+        nearest: function that returns `preflight.Facts.nearest`.  listens_since_s: see `joystick.ButtonEdges`.
         """
         self._params = params
         rate_hz = params.rate_hz(vehicle_type)
@@ -156,12 +156,12 @@ class VehiclePilot:
         self._full = [_NEARLY_FULL * abs(value) for value in full]  # of an entry of /controls
         self._sent = CommandHistory(1)
         self._braking = Braking(vehicle_type, self._sent.vehicles[0], params.hold_brakes)
-        self._stopped = False  # it was braked, in this HOLD
+        self._stopped = False  # it was braked to a stop in this HOLD
         self._risen_s = -math.inf  # when the level rose last
         self._told_of, self._told_s = [0.0, 0.0, 1.0], now_s  # see _told_push
-        # roll and pitch [rad] at which it settles by the newest command, and what carries it then [weights]
+        # roll and pitch [rad] at which it settles by the newest command, and its vertical thrust then [weights]
         self._newest_push = [0.0, 0.0, 1.0]
-        # that takes off, holds and lands a vehicle which does not do so itself; None: it does
+        # takes off, holds and lands a vehicle that does not fly itself; None: it does
         self._hover = None
         if not self._adapter.FLIES_ITSELF:
             self._hover = Hover(vehicle_type, self._sent.vehicles[0], params.state_hold_s, self._braking)
@@ -179,11 +179,11 @@ class VehiclePilot:
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly
-        self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
+        self._takeoff_s = None  # when a take-off was ordered that the vehicle has not confirmed yet
         self._state = None
-        self._state_s = 0.0  # when the state held [s]
-        self._unseen = False  # motion capture has looked since, and does not see it
-        self._told = None  # the newest Verdict of the orders
+        self._state_s = 0.0  # time of the state [s]
+        self._unseen = False  # it is not seen in a newer frame of motion capture
+        self._told = None  # the newest Verdict that was published
         self._nearest, self._looks_s = nearest, deque(maxlen=preflight.LOOKS)
         self._markers = deque(maxlen=preflight.COUNTS)  # (used, of its template)
         self._simulator_reset = False
@@ -197,10 +197,9 @@ class VehiclePilot:
     def on_joy(self, buttons, axes, now_s, age_s=0.0, sender=""):
         """A joystick message. age_s: by its stamp [s]; 0 when it has none. sender: which node it is from.
 
-        One that was held up on its way is not current: the vehicle may have landed meanwhile, and
-        the button that was pressed to land it would be a take-off. It is not obeyed, nor a sign of life. A button that
-        went down in such a message and is still down in one that is in time counts then, to stop, to land or to end
-        autonomous mode only.
+        A message that was delayed on its way is neither obeyed nor a sign of life: the vehicle may have landed
+        meanwhile, and the button pressed to land it would order a take-off. A button that went down in such a message
+        and is still down in one that is in time then counts, but only to stop, to land or to end autonomous mode.
         """
         orders = Orders()
         joystick = self._joysticks[sender]
@@ -227,7 +226,7 @@ class VehiclePilot:
         reset = Button.TAKEOFF_LAND in joy.held
         if self._params.Simulation and reset != self._simulator_reset:
             self._simulator_reset = orders.simulator_reset = reset
-        # a belated one was meant for autonomous mode, not to take back a landing that the ladder began meanwhile
+        # a belated press was meant to end autonomous mode, not to cancel a landing that the ladder began meanwhile
         ends_it = self.autonomous and self.ladder.verdict.level < _LAND and Button.TOGGLE_AUTONOMOUS in joy.belated
         if Button.TOGGLE_AUTONOMOUS in joy.pressed or ends_it:
             self._toggle(orders, now_s)
@@ -261,11 +260,11 @@ class VehiclePilot:
         return orders
 
     def on_wire(self, now_s):
-        """Of a vehicle that does not fly itself: what sends our commands to it reports that it does."""
+        """The transmitter of a vehicle that does not fly itself reports that it sends our commands."""
         self._hover.on_wire(now_s)
 
     def on_refusal(self, why, now_s):
-        """Of a vehicle that does not fly itself: it does not arm itself for the take-off."""
+        """A vehicle that does not fly itself refuses to arm for the take-off."""
         orders = Orders()
         if self._hover is not None:
             self._hover.refuse(why, now_s, orders)
@@ -273,7 +272,7 @@ class VehiclePilot:
         return orders
 
     def _note_state(self, state, orders, now_s):
-        """The vehicle says that it does this."""
+        """Take the flight state that the vehicle reports."""
         self.flight_state = state
         if not self._params.Simulation:
             if state in ON_GROUND:
@@ -284,10 +283,10 @@ class VehiclePilot:
         self._end_on_the_ground(orders)
 
     def _note_hover(self, orders):
-        """What it does by what `Hover` knows."""
+        """Take the flight state that `Hover` works out."""
         before, state = self.flight_state, self._hover.flight_state(self.autonomous)
         self.flight_state, self.airborne = state, self._hover.airborne
-        given_back = before == _LANDING and state == FlightState.FLYING  # by whoever ended its own landing
+        given_back = before == _LANDING and state == FlightState.FLYING  # its own landing was ended
         if state == FlightState.PILOT != before:
             self.ladder.take_over()
             orders.say("warn", "%s: it receives other sticks than we send" % HAS_PILOT)
@@ -303,7 +302,7 @@ class VehiclePilot:
     def on_state(self, own, age_s, now_s, look=ALONE):
         """The vehicle was seen (`OwnState`); do not call for entries that are not visible.
 
-        look: `separation.Look` at the other vehicles of then.
+        look: `separation.Look` at the other vehicles at that time.
         """
         position_m, velocity_m_s, phi_rad, theta_rad, psi_rad = own
         if not math.isfinite(sum(position_m) + sum(velocity_m_s) + phi_rad + theta_rad + psi_rad):
@@ -321,11 +320,11 @@ class VehiclePilot:
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
 
     def on_unseen(self):
-        """Motion capture has looked, and does not see the vehicle."""
+        """The vehicle is not seen in a new frame of motion capture."""
         self._unseen = True
 
     def on_markers(self, used, known):
-        """Motion capture's pose of it rests on so many of its markers."""
+        """Take the number of markers that its pose is from, and the number in its template."""
         self._markers.append((used, known))
 
     def on_suspect(self, reason, now_s):
@@ -335,16 +334,16 @@ class VehiclePilot:
         self.ladder.note_suspect(reason, now_s)
 
     def _told_push(self, now_s):
-        """(roll, pitch [rad], what carries it [weights]) that it was told of late, without their noise."""
+        """(roll, pitch [rad], vertical thrust [weights]) by the latest commands, low-pass filtered."""
         part = -math.expm1((self._told_s - now_s) / _TILTS_S)
         told = [old + part * (newest - old) for old, newest in zip(self._told_of, self._newest_push)]
         self._told_of, self._told_s = told, now_s
         return told
 
     def hear_controls(self, own, age_s, now_s):
-        """Take a command for a sign of life of the controller only. Returns False for one that is not finite.
+        """Take a command as a sign of life of the controller only. Returns False for one that is not finite.
 
-        What means something else to the vehicle than to the controller is not a sign of life: the ladder lands.
+        While full scales differ (`disagreement`) it is not a sign of life: the ladder lands.
         """
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
@@ -355,7 +354,7 @@ class VehiclePilot:
         return is_finite
 
     def on_controls(self, own, stamp, age_s, now_s):
-        """A command of the controller (`vehicles.Controls`) with the stamp of the state it answers, of any type."""
+        """A command of the controller (`vehicles.Controls`). stamp: of the state that it answers, of any type."""
         orders = Orders()
         if not self.hear_controls(own, age_s, now_s):
             orders.say("warn", "the controller sent a command that is not finite: ignored")
@@ -392,9 +391,9 @@ class VehiclePilot:
         return orders
 
     def on_land_request(self, now_s):
-        """Somebody who has no joystick wants the vehicle down.
+        """A landing is requested without a joystick.
 
-        The ladder lands it, whoever flies, until it reports that it stands or the operator takes over.
+        The ladder lands the vehicle, whoever flies it, until it reports that it stands or the operator takes over.
         """
         orders = Orders()
         silent = not self.ladder.navdata_is_fresh(now_s)
@@ -418,7 +417,7 @@ class VehiclePilot:
         return orders
 
     def on_shutdown(self, now_s):
-        """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""
+        """One round of the last orders: level and land, whatever its state. After that only a reset is obeyed."""
         self._ended = True
         orders = Orders()
         orders.land = True
@@ -426,7 +425,7 @@ class VehiclePilot:
             stands = self.flight_state == FlightState.LANDED and self.ladder.navdata_is_fresh(now_s)
             orders.land = not (
                 stands or self._has_pilot
-            )  # nothing of it would be obeyed, and the next take-off find another mode
+            )  # it would not obey, and the next take-off would find another mode
             self._hover.land(now_s)
             self._hover.step(now_s, orders)
             self._fly_hover(orders, now_s)
@@ -436,7 +435,7 @@ class VehiclePilot:
         return orders
 
     def needs_landing(self, now_s):
-        """True while the vehicle may be in the air, is nobody else's, and does not report that it lands."""
+        """True while the vehicle may be in the air, is not flown by its pilot, and does not report that it lands."""
         if self._has_pilot:
             return False
         lands = self.flight_state == _LANDING if self._hover is None else self._hover.lands_itself
@@ -444,7 +443,7 @@ class VehiclePilot:
 
     @property
     def holds_alone(self):
-        """Whether it holds or lands because of something else than other vehicles."""
+        """Whether it holds or lands for another reason than other vehicles."""
         verdict = self.ladder.verdict
         return verdict.level > _OK and verdict.rule != Rule.SEPARATION
 
@@ -457,16 +456,16 @@ class VehiclePilot:
 
     @property
     def _obeys(self):
-        """It is in the air, and does nothing but what it is sent. An AR.Drone brakes by itself now and then."""
+        """True if it is in the air and does only what it is sent. An AR.Drone brakes by itself now and then."""
         return self._hover is not None and self.flight_state in (FlightState.FLYING, FlightState.HOVERING)
 
     @property
     def _has_pilot(self):
-        """Somebody else flies it."""
+        """True if its pilot flies it by the transmitter."""
         return self._hover is not None and self._hover.has_pilot and self.airborne
 
     def _holds(self):
-        """The ladder flies; or the controller answers a state that cannot be true, for which nobody waits."""
+        """True if the ladder flies, or if the newest state is suspect, so that the controller's answer is not sent."""
         return self.ladder.verdict.level > _OK or (self.autonomous and self.ladder.suspect != "")
 
     def _takes_commands(self):
@@ -485,9 +484,9 @@ class VehiclePilot:
                 )
 
     def _sticks(self):
-        """What all joysticks together say: the larger deflection, so that none takes back what another commands.
+        """Sticks of all joysticks together: the larger deflection of each axis, so that none cancels another's command.
 
-        Without stick_timeout a deflection may be that of a dead joystick: the newest message counts alone.
+        Without stick_timeout a deflection may be that of a dead joystick: only the newest message counts.
         """
         joysticks = list(self._joysticks.values())
         if self._params.stick_timeout == 0.0:
@@ -498,7 +497,7 @@ class VehiclePilot:
         """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
         fresh = self.ladder.navdata_is_fresh(now_s)
         if self.flight_state != FlightState.LANDED or not fresh:
-            if may_take_off and not fresh and not self.airborne:  # meant for a take-off, as far as can be known
+            if may_take_off and not fresh and not self.airborne:  # probably meant as a take-off
                 text = "nothing is heard of the vehicle, it is told to land: is it on? Look at its %s and its driver"
                 self._refuse([text % self._adapter.LINK], orders)
             self._order_landing(orders, now_s)
@@ -516,7 +515,7 @@ class VehiclePilot:
                 self._take_off(orders, now_s)
 
     def _refuse(self, refusals, orders):
-        """A take-off was asked for, and these speak against it; none: nothing does."""
+        """A take-off was requested. refusals: reasons against it; empty if there are none."""
         orders.refusals = refusals
         for refusal in refusals:
             orders.say("warn", "take-off refused: %s" % refusal)
@@ -531,7 +530,7 @@ class VehiclePilot:
             self._note_hover(orders)
 
     def _refusals(self, now_s):
-        """Why it must not take off."""
+        """Reasons why it must not take off."""
         joystick = self.ladder.lost_joystick(now_s)
         if joystick is not None:
             text = "the joystick %s has fallen silent, and with it its emergency stop; see to it, or wait a minute to "
@@ -545,7 +544,7 @@ class VehiclePilot:
             yield self._hover.no_take_off(now_s)
 
     def _preflight(self, now_s):
-        """Why it must not take off by what is seen; ()."""
+        """Reasons of `preflight` why it must not take off; () if none."""
         ladder, own, looks_s = self.ladder, self._state, self._looks_s
         full, markers = len(looks_s) == looks_s.maxlen, max(self._markers, default=None)
         return preflight.refusals(
@@ -567,7 +566,7 @@ class VehiclePilot:
         )
 
     def _order_landing(self, orders, now_s):
-        """Bring it down; one that does not fly itself is told to land by itself only where that is not in our hands."""
+        """Order a landing; one that does not fly itself is told to land by itself only where we cannot land it."""
         if self._hover is None:
             orders.land = True
             return
@@ -598,7 +597,7 @@ class VehiclePilot:
         if not problem and self._hover is not None and self.flight_state == FlightState.OTHER_MODE:
             problem = "its autopilot is in a mode in which it does not take our commands: %s" % self._adapter.MODE_CURE
         if not problem and not self._takes_commands():
-            # References would leave at once, and no command follow them.
+            # The reference would leave at once, and no command would follow it.
             problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
         if problem:
             orders.say("warn", "autonomous mode refused: %s" % problem)
@@ -606,7 +605,7 @@ class VehiclePilot:
         self._set_mode(True, orders, "joystick")
 
     def _lies(self):
-        """What is wrong with the tilt at which it is seen; "" when nothing is."""
+        """What is wrong with its measured tilt; "" when nothing is."""
         if self._state is None:
             return ""
         cosine = math.cos(self._state.phi_rad) * math.cos(self._state.theta_rad)
@@ -625,7 +624,7 @@ class VehiclePilot:
         orders.say("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why))
 
     def _judge(self, orders, now_s, land=False):
-        """Run the ladder; a new level is acted on at once, not at the next slot. land: somebody asks for a landing."""
+        """Run the ladder; a new level is acted on at once, not at the next slot. land: a landing is requested."""
         ladder = self.ladder
         before = ladder.verdict
         if land:
@@ -658,7 +657,7 @@ class VehiclePilot:
             self._order_landing(orders, now_s)
 
     def _brakes(self, now_s):
-        """Whether it is to stop before it lands: in its own landing an AR.Drone takes a metre for that."""
+        """Whether it is to stop before it lands: in its own landing an AR.Drone needs a metre to stop."""
         takes = self._hover is None and self._takes_commands()
         brake = self._braking.command(now_s) if takes and now_s - self._risen_s < _STOPS_S else None
         if brake is None or brake.stopped:
@@ -683,16 +682,16 @@ class VehiclePilot:
         self._send(sticks, None, orders, now_s)
 
     def _waits(self, now_s):
-        """The state that it holds for may only be late: nobody has said that the vehicle is not seen. Braked at each
-        such moment it would fall behind its reference, which is what others hold for.
+        """True if it holds for a missing state that may only be late: no newer frame came without the vehicle. Braking
+        at each such moment would make it fall behind its reference, for which others hold.
         """
         verdict = self.ladder.verdict
         is_state = verdict.level == FailsafeLevel.HOLD and verdict.rule == Rule.STATE
         return is_state and not self._unseen and now_s - self._risen_s < _WAITS_S
 
     def _stop(self, now_s, itself, waits):
-        """Sticks of a vehicle that is to hold its place. itself: it holds one by itself, but stops slowly. waits: it is
-        not braked yet.
+        """Sticks of a vehicle that is to hold its place. itself: it can hold its place by itself, but stops slowly.
+        waits: it is not braked yet.
         """
         brake = None if itself and self._stopped else self._braking.command(now_s)
         if waits:
@@ -703,8 +702,8 @@ class VehiclePilot:
         return CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
 
     def _fly_hover(self, orders, now_s):
-        """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
-        said what it does and was seen: it may be in the air.
+        """Send the command of a vehicle that does not fly itself, while the controller does not fly it; none before it
+        has reported its state and was seen: it may be in the air.
         """
         if self._hover.reported is None or self._state is None or self._hover.must_be_silent(now_s):
             return
@@ -738,7 +737,7 @@ class VehiclePilot:
         return self._adapter.move(forward_rad, left_rad, look.climb * speed_m_s, self._state)
 
     def _send(self, sticks, answers, orders, now_s, own=None):
-        """own: OwnState that they are for, if not the newest one."""
+        """own: OwnState that the sticks are for, if not the newest one."""
         sticks = self._adapter.sendable(sticks, now_s)
         orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, own or self._state))
         self._sent.append(0, now_s, orders.command.settles_at)

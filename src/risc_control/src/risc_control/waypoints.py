@@ -1,4 +1,4 @@
-"""Files of waypoints: the way through them whose snap is least (`minimum_snap`), as a Motion. No ROS.
+"""Files of waypoints: the minimum-snap path through them (`minimum_snap`), as a Motion. No ROS.
 
     name: eight
     closed: true
@@ -6,7 +6,7 @@
       - {position_m: [1.0, 0.0, 1.0]}
       - {position_m: [2.0, 0.5, 1.0], yaw_deg: 90}
 
-`Waypoints` says what else there is.
+See `Waypoints` for all keys.
 """
 
 import functools
@@ -40,9 +40,9 @@ class Waypoints(Settings):
 
     waypoints: tuple[Waypoint, ...]
     name: Name = "waypoints"
-    closed: bool = True  # from the last to the first again, and round; False: from the last back, with a rest at both
-    period_s: Positive | None = None  # with times, and closed: when it is at the first one again
-    speed_m_s: Positive = 0.6  # without times: the greatest
+    closed: bool = True  # from the last to the first, cyclically; False: back the same way, with a rest at both ends
+    period_s: Positive | None = None  # closed and with times: when it is at the first waypoint again
+    speed_m_s: Positive = 0.6  # greatest speed, if there are no times
 
     def __post_init__(self):
         super().__post_init__()
@@ -97,14 +97,14 @@ class Waypoints(Settings):
         return polynomials(coefficients, durations_s), float(durations_s.sum())
 
     def _yaw(self, durations_s):
-        """(m, 8, 1): the short way from each waypoint to the next."""
+        """(m, 8, 1) coefficients of the yaw, by the shorter turn from each waypoint to the next."""
         if self.waypoints[0].yaw_deg is None:
             return np.zeros((len(durations_s), COEFFICIENTS, 1))
         yaws_deg = [waypoint.yaw_deg for waypoint in self.waypoints]
         yaws = np.unwrap(np.radians(yaws_deg + yaws_deg[:1] * self.closed))
         if not self.closed:
             return pieces(yaws[:, None], durations_s, False)
-        # whole turns that it makes in a round are made steadily, and what is left comes back to where it began
+        # the whole turns of a round are made at a constant rate; the rest is periodic
         begins, rate = np.cumsum(durations_s) - durations_s, (yaws[-1] - yaws[0]) / durations_s.sum()
         coefficients = pieces((yaws[:-1] - rate * begins)[:, None], durations_s, True)
         coefficients[:, 0, 0] += rate * begins
@@ -113,5 +113,5 @@ class Waypoints(Settings):
 
 
 def load_waypoints(path):
-    """Waypoints of a file, whose name they have where they have no other. Raises ValueError that names file and key."""
+    """Waypoints of a file, named after it unless they have a name. Raises ValueError that names file and key."""
     return settings_from(Waypoints, {"name": pathlib.Path(path).stem, **load_yaml(path)}, str(path))

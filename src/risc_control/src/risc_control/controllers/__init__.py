@@ -16,10 +16,10 @@ elsewhere, e.g. a student's: controllers/NAME.py and controllers/NAME.yaml in a 
             up = acceleration[:, 2] + params.gain_1_s2 * (position - states.vehicles.position_m)[:, 2] + ...
             return Command(roll_rad, pitch_rad, yaw_rate_rad_s, self.mass_kg * (GRAVITY_M_S2 + up))
 
-It flies all vehicles of a fleet at once, of whatever types. `states.bodies` is what they carry (`attached` in the fleet
-file), such as the tip of a pendulum; `states.covariances` are those of a filter that knows them. Who cannot be flown
-(not seen, no reference), limits and the units of /controls are not its business: `ControlLoop` sees to them, and it is
-what nodes and offline flights run.
+It flies all vehicles of a fleet at once, whatever their types. `states.bodies` are bodies that they carry (`attached`
+in the fleet file), such as the tip of a pendulum; `states.covariances` come from state filters that provide them.
+Vehicles that cannot be flown (not seen, no reference), limits and the units of /controls are handled by `ControlLoop`,
+which is what nodes and offline flights run.
 """
 
 from dataclasses import replace
@@ -41,46 +41,46 @@ REGISTRY = Registry("controllers", __name__)
 
 
 class Times(NamedTuple):
-    """When a step is."""
+    """Times of a step."""
 
-    stamp_s: float  # of the states: when they held
+    stamp_s: float  # of the states: when they were measured
     now_s: float  # when the command will be sent
 
 
 class Bundle(NamedTuple):
-    """What is known of the world. What only some have goes here, too."""
+    """All inputs other than the reference, including those that only some fleets or filters provide."""
 
     vehicles: States
     autonomous: np.ndarray  # (n,) bool, False where somebody else flies the vehicle: our commands are not sent
-    sent: CommandHistory  # what the vehicles were really sent, as far as that is known; its times are those of `Times`
-    bodies: States  # row i: what vehicle i carries; not visible where that is nothing. Its angles mean nothing
-    # (n, 12, 12) of `vehicles`, rows and columns `S`, NaN where unknown; the newest that were estimated: nodes get them
-    # a frame later. None: the filter knows none, or the controller does not read them
+    sent: CommandHistory  # commands actually sent to the vehicles, where known; on the clock of `Times`
+    bodies: States  # row i: the body that vehicle i carries; not visible if there is none. Its angles are meaningless
+    # (n, 12, 12) of `vehicles`, rows and columns as in `S`, NaN where unknown; the newest estimate, which nodes receive
+    # one frame late. None: the filter provides none, or the controller does not read them
     covariances: np.ndarray | None = None
 
 
 class Reference(NamedTuple):
-    """What is wanted: arrays (orders, n, 4), position to `Controller.ORDER` of x, y, z, psi in the cortex frame."""
+    """References: arrays (orders, n, 4), position to `Controller.ORDER` of x, y, z, psi in the cortex frame."""
 
     present: np.ndarray  # at the stamp of the states
     ahead: np.ndarray  # at the time of sending plus the vehicle's `Controller.delay_s`
-    usable: np.ndarray  # (n,) bool, False where there is no fresh one: its numbers, or that of a state, mean nothing
+    usable: np.ndarray  # (n,) bool, False where there is no fresh reference: its numbers are then meaningless
 
 
 class Controller:
-    """Flies n vehicles. Steps come in the order of time."""
+    """Controller of n vehicles. `step` is called in order of time."""
 
     PARAMS = NoParams  # dataclass of numbers: the keys of its YAML file; dynamic_reconfigure changes them in flight
     ORDER = Order.ACCELERATION  # highest derivative of the reference that it reads, at most MOST_ORDER
     COVARIANCES = False  # whether it reads `Bundle.covariances`
-    ESTIMATOR = ""  # velocity filter that its flights have unless another is named; "" = that of all
+    ESTIMATOR = ""  # velocity filter of its flights unless another one is named; "" = the default filter
 
     def __init__(self, vehicle_types, params):
         """vehicle_types: VehicleType of each vehicle, in the order of all arrays."""
         self.mass_kg = np.array([vehicle_type.mass_kg for vehicle_type in vehicle_types])
-        self.delay_s = np.zeros(len(vehicle_types))  # that it counts on, of each vehicle's commands
-        self.saturated = np.zeros(len(vehicle_types), dtype=bool)  # of its last commands, those that it has limited
-        self.designed = None  # by `design`, for the parameters of the step under way
+        self.delay_s = np.zeros(len(vehicle_types))  # command delay that it assumes for each vehicle
+        self.saturated = np.zeros(len(vehicle_types), dtype=bool)  # True where it limited its last command
+        self.designed = None  # result of `design` for the parameters of the current step
 
     def step(self, t, states, reference, params):
         """`Command` of arrays (n,).  t: Times.  states: Bundle.  reference: Reference.  params: PARAMS.
@@ -90,7 +90,7 @@ class Controller:
         raise NotImplementedError
 
     def design(self, params):
-        """What follows from parameters and takes its time (gains ...), which no step must wait for; from any thread.
+        """Return what depends on the parameters only (gains ...), so that no step computes it. Called in any thread.
 
         Raises ValueError when there is no solution.
         """
@@ -100,17 +100,17 @@ class Controller:
         self.forget_times()
 
     def forget_times(self):
-        """The clock of stamps and commands was set: what was sent when means nothing now."""
+        """The clock of stamps and commands was set: forget all times."""
 
 
 class _Mixed(Controller):
-    """One controller for vehicles of which some have numbers of their own: an instance for neighbours with the same."""
+    """A controller for vehicles with different parameters: one instance per run of neighbours with equal parameters."""
 
     def __init__(self, kind, vehicle_types, params, own):
         super().__init__(vehicle_types, params)
         self.ORDER, self.COVARIANCES = kind.ORDER, kind.COVARIANCES
-        self._parts, begin = [], 0  # (rows, what they have otherwise, Controller)
-        self._bodies, self._bodies_of = None, ()  # States of all, and those of each part
+        self._parts, begin = [], 0  # (rows, parameters that differ from the YAML file, Controller)
+        self._bodies, self._bodies_of = None, ()  # bodies of all vehicles, and those of each part
         for numbers, equals in groupby(own):
             rows = slice(begin, begin + len(list(equals)))
             part = kind(vehicle_types[rows], replace(params, **numbers))
@@ -124,7 +124,7 @@ class _Mixed(Controller):
 
     def step(self, t, states, reference, params):
         commands = np.empty((len(Command._fields), len(self.delay_s)))
-        if states.bodies is not self._bodies:  # while no vehicle carries anything it is the same in every frame
+        if states.bodies is not self._bodies:  # while no vehicle carries anything it is the same object in every frame
             self._bodies = states.bodies
             self._bodies_of = [_rows_of(states.bodies, rows) for rows, _, _ in self._parts]
         for (rows, _, part), (own, part.designed), bodies in zip(self._parts, self.designed, self._bodies_of):
@@ -150,7 +150,7 @@ def _rows_of(states, rows):
 
 
 class Output(NamedTuple):
-    """What goes to n vehicles."""
+    """Commands for n vehicles."""
 
     controls: Controls  # of arrays (n,); NaN, all four, where `finite` is False
     saturated: np.ndarray  # (n,) bool: a limit of the vehicle cut the command
@@ -158,11 +158,11 @@ class Output(NamedTuple):
 
 
 class ControlLoop:
-    """A controller with its parameters, its references in time, and the way to /controls."""
+    """A controller with its parameters, the times of its references, and the conversion to /controls."""
 
     def __init__(self, controller, vehicle_types, params=None, own=()):
-        """controller: a name of the REGISTRY, or a class.  params: None = of its YAML file, of a class its defaults.
-        own: what each vehicle has otherwise, see `own_params`.  Raises ValueError for what cannot be flown.
+        """controller: a name of the REGISTRY, or a class.  params: None = of its YAML file; for a class, its defaults.
+        own: parameters of each vehicle that differ, see `own_params`.  Raises ValueError for what cannot be flown.
         """
         if isinstance(controller, str):
             params = params or default_params(controller)
@@ -182,19 +182,19 @@ class ControlLoop:
         delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
         self._delays_s = delays_s.tolist()
         self._everyone = np.arange(len(vehicle_types))
-        self.sent = CommandHistory(len(vehicle_types))  # whoever knows what was really sent appends it here
+        self.sent = CommandHistory(len(vehicle_types))  # the caller appends the commands actually sent, where known
         self.set_params(params)
         n = len(vehicle_types)
         none, nowhere = np.zeros(n, dtype=bool), np.zeros((self.controller.ORDER + 1, n, len(Axis)))
         self._no_bodies = States(none.copy(), np.zeros((n, len(S))))
-        # load what is compiled, by an update in which no vehicle is seen
+        # load the compiled code, by an update in which no vehicle is seen
         self.update(0.0, 0.0, States(none, np.zeros((n, len(S)))), nowhere, nowhere, none, none)
         self.controller.reset()
 
     def set_params(self, params):
-        """Fly with other parameters; what vehicles have otherwise stays theirs.
+        """Change the parameters; those that differ for single vehicles are kept.
 
-        Raises ValueError, and keeps the old ones, when there is no solution.
+        Raises ValueError, and keeps the old parameters, when there is no solution.
         """
         flown = replace(params, **self._of_all)
         self._flown = flown, self.controller.design(flown)
@@ -206,7 +206,7 @@ class ControlLoop:
         self.controller.forget_times()
 
     def times_s(self, stamp_s, now_s):
-        """(1 + k,) times of the references that an update wants: at the stamp, and where its commands take effect."""
+        """(1 + k,) times of the references that `update` needs: the stamp, and when its commands take effect."""
         sent_s = stamp_s + max(0.0, now_s - stamp_s)
         return np.array([stamp_s, *(delay_s + sent_s for delay_s in self._delays_s)])
 
@@ -217,7 +217,7 @@ class ControlLoop:
         return values[0], np.ascontiguousarray(values[1 + self._which, :, self._everyone].transpose(1, 0, 2))
 
     def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous, bodies=None, covariances=None):
-        """`Output` for the States at stamp_s, to be sent at now_s; level with hover thrust where nothing is known.
+        """`Output` for the States at stamp_s, to be sent at now_s; level with hover thrust if not seen or not usable.
 
         present, ahead, usable: see `Reference`.  autonomous, bodies, covariances: see `Bundle`; bodies None: no vehicle
         carries anything, or it is not seen.
@@ -232,10 +232,10 @@ class ControlLoop:
 
 
 def own_params(name, vehicles, where):
-    """[{key: value}] that each FleetVehicle has otherwise than the YAML file of a controller.
+    """[{key: value}] of the parameters in which each FleetVehicle differs from the YAML file of a controller.
 
-    It stands in `controllers` of the vehicle's type, and then in those of its entry in the fleet file.
-    where: the fleet file.  Raises ValueError that names the file, the vehicle and the key.
+    They are in `controllers` of the vehicle's type; those in `controllers` of its entry in the fleet file override
+    them.  where: the fleet file.  Raises ValueError that names the file, the vehicle and the key.
     """
     defaults, known = default_params(name), REGISTRY.names()
     found = []
@@ -250,16 +250,16 @@ def own_params(name, vehicles, where):
                 raise ValueError(text % (place, "', '".join(unknown), ", ".join(known)))
             own.update(controllers.get(name, {}))
             params = settings_from(type(defaults), {**vars(defaults), **own}, "%s: controllers: %s" % (place, name))
-        found.append({key: getattr(params, key) for key in own})  # whole numbers are whole, as the class wants them
+        found.append({key: getattr(params, key) for key in own})  # converted to the types of the class, e.g. int
     return found
 
 
 def descriptions(name):
-    """{number of a member: what its YAML file says beside it}."""
+    """{name of a controller's parameter: comment beside it in the YAML file}."""
     path = config_files("controllers", "risc_control").get(name)
     return key_comments(path) if path else {}
 
 
 def default_params(name):
-    """PARAMS of a member with the numbers of its YAML file. Raises ValueError, also for keys that it does not know."""
+    """PARAMS of a controller with the values of its YAML file. Raises ValueError, also for unknown keys."""
     return REGISTRY.settings(name, REGISTRY.module(name).Controller.PARAMS)

@@ -1,10 +1,10 @@
-"""Trajectory tracking by flatness and LQR: what flies (thesis 6, 7.3.4).
+"""Trajectory tracking by flatness and LQR: the default controller (thesis 6, 7.3.4).
 
 LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
 on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
-forward the reference's jerk and snap through the attitude loop. What the model does not know (level, gain and lag of
-tilt and climb, drag, what pushes the vehicle) is observed (`disturbance_observer`), predicted and taken out of the
-command.
+forward the reference's jerk and snap through the attitude loop. Unmodelled effects (level, gain and lag of tilt and
+climb, drag, an external acceleration or "push") are estimated (`disturbance_observer`), predicted and compensated in
+the command.
 
 Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
 north and east turned by the yaw are forward and right (vehicle-1 axes).
@@ -48,19 +48,19 @@ class Params(Settings):
     q_yaw: NotNegative = 4.0  # [1/rad^2]
     q_yaw_rate: NotNegative = 0.0
     r_yaw: Positive = 1.0
-    error_max_m: Positive = 0.4  # larger position errors count as this long: bounds the speed of a return
+    error_max_m: Positive = 0.4  # larger position errors are shortened to this: bounds the speed of a return
     integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
     integral_min_height_m: Positive = 0.3  # no integration lower than this, and nothing is learnt below half of it
     angle_noise_rad: Positive = 0.015  # of a measured roll or pitch, for the observer; see `disturbance_observer`
-    tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
+    tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] unmodelled motion of the attitude loop
     level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
     height_noise_m: Positive = 0.005  # of a measured height
-    climb_disturbance_m_s2: Positive = 0.15  # [m/s^2/sqrt(Hz)] what the climb model does not know
+    climb_disturbance_m_s2: Positive = 0.15  # [m/s^2/sqrt(Hz)] unmodelled motion of the climb loop
     climb_level_m_s2: NotNegative = 0.02  # [m/s^2/sqrt(Hz)] how the climb rate's zero changes; 0: it is not learnt
     gain_spread: NotNegative = 0.2  # of angles and climb rates over commanded ones; 0: it is not learnt
     lag_spread_s: NotNegative = 0.05  # of how late they follow; 0: it is not learnt
     position_noise_m: Positive = 0.02  # of a measured position
-    push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how what pushes it changes; 0: it is not learnt
+    push_m_s3: NotNegative = 1.0  # [m/s^3/sqrt(Hz)] how the external acceleration changes; 0: it is not learnt
     drag_spread_1_s: NotNegative = 1.5  # of drag over mass; 0: it is not learnt
 
 
@@ -68,8 +68,8 @@ class Params(Settings):
 _OF_PARAMS = ("error_max_m", "integral_max_m_s", "integral_min_height_m")
 _LIMITS = record("roll_rad pitch_rad tilt_rad yaw_rate_rad_s", " ".join(_OF_PARAMS))
 
-# On the errors of a horizontal axis; and, forward through the attitude loop, on the first and second rate of the
-# reference's acceleration.
+# Feedback gains of a horizontal axis; and feed-forward gains, through the attitude loop, on the first and second
+# derivative of the reference's acceleration.
 _AXIS_GAINS = record("integral position velocity tilt tilt_rate", "forward_rate_s forward_second_rate_s2")
 _GAINS = record(("pitch", _AXIS_GAINS), ("roll", _AXIS_GAINS), "height_integral height climb yaw yaw_rate")
 # What is remembered of a vehicle: integrals of its position error, and whether a limit cut its last command.
@@ -94,8 +94,8 @@ class Controller(controllers.Controller):
         self._stamp_s = -np.inf
 
     def design(self, params):
-        """((k,) _GAINS, (k,) _LIMITS, and what `observer` gives) of the k types. Raises ValueError when there is no
-        solution.
+        """((k,) _GAINS, (k,) _LIMITS, *results of `observer`) of the k vehicle types. Raises ValueError when there is
+        no solution.
         """
         limits = np.array([_limits(t, params) for t in self._types], _LIMITS)
         return _gains(self._types, params), limits, *observer(self._types, params)
@@ -107,7 +107,7 @@ class Controller(controllers.Controller):
         self.forget_times()
 
     def forget_times(self):
-        """As `controllers.Controller`. The integrals are not times, and stay."""
+        """As `controllers.Controller`. The integrals are kept."""
         self._computed.clear()
         self._stamp_s = -np.inf
 
@@ -167,7 +167,7 @@ def _step(
     for k in range(len(plants)):
         steps[k] = steps_of(age_s + plants[k].delay_s)
     in_force = np.empty((LAG_STEPS + 1 + steps.max(), CHANNELS))
-    applied = np.zeros((len(kinds), CHANNELS))  # what the vehicles settle at, at our commands
+    applied = np.zeros((len(kinds), CHANNELS))  # what our commands make the vehicles settle at
     for i in range(len(kinds)):
         kind, integral, seen = kinds[i], integrals[i], observed[i]
         unknown = unknowns[kind]
@@ -187,12 +187,12 @@ def _step(
         way = x[i, S.X], -x[i, S.Y], x[i, S.Z], x[i, S.U], -x[i, S.V], x[i, S.W]
         wanted_m = present[Order.POSITION, i, Axis.X] + present[Order.POSITION, i, Axis.Y]
         wanted_m += present[Order.POSITION, i, Axis.Z]
-        if not math.isfinite(sum(tilt) + sum(way) + wanted_m):  # it must not get into what is remembered
+        if not math.isfinite(sum(tilt) + sum(way) + wanted_m):  # it must not enter the stored states
             commands[:, i] = math.nan
             continue
         now, before = under_way[LAG_STEPS], under_way[0]
         observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], plant, tables[kind], unknown)
-        if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; who flies low keeps what it knows
+        if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; higher up, estimates are kept
             forget(seen, unknown)
             seen.north.push_m_s2 = seen.east.push_m_s2 = 0.0
         for k in range(len(under_way) - 1, LAG_STEPS - 1, -1):
@@ -210,7 +210,7 @@ def _step(
         drag_1_s = plant.drag_1_s + seen.drag_1_s
         forward, right = _horizontal(motion, ahead[:, i], drag_1_s, limit, gain, integral, push, lags_s)
         wanted_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
-        # what the climb loop makes of it is up
+        # `told` is asked of the climb loop so that it makes `up`
         told, told_cut = _told_up(up, motion.up_m_s, ahead[:, i], plant.climb, seen.height)
         # squares, as the norm in `flat_inputs` must be finite
         if not math.isfinite(forward * forward + right * right + up * up + wanted_rate + told):
@@ -236,7 +236,7 @@ def _step(
 
 @compiled
 def _motion(x, seen):
-    """Motion of a vehicle by its state; roll and pitch as they are observed."""
+    """Motion of a vehicle from its state; roll, pitch and velocity are those of the observer."""
     return Motion(
         x[S.X], -x[S.Y], x[S.Z], seen.north.m_s, seen.east.m_s, seen.height.rate,
         seen.phi.value, seen.theta.value, x[S.PSI], seen.phi.rate, seen.theta.rate, x[S.R], 0.0,
@@ -263,19 +263,19 @@ def _integrate(integral, step_s, x, reference, limit):
 
 @compiled
 def _horizontal(motion, reference, drag_1_s, limit, gain, integral, push, lags_s):
-    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll.
+    """Acceleration [m/s^2] to make by tilt: (forward, by pitch; right, by roll).
 
-    drag_1_s: over mass.  push: north and east, see `predicted`.  lags_s: so much later follow pitch and roll than the
-    loops of the type.
+    drag_1_s: over mass.  push: north and east, see `predicted`.  lags_s: additional lags of pitch and roll, beyond
+    those of the type's loops.
     """
     cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
-    # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
+    # the tilt acceleration that the reference needs, and its first two derivatives, in non-rotating axes ...
     a_forward, a_right = _tilt_reference(reference, Order.ACCELERATION, drag_1_s, cos_psi, sin_psi)
     j_forward, j_right = _tilt_reference(reference, Order.JERK, drag_1_s, cos_psi, sin_psi)
     s_forward, s_right = _tilt_reference(reference, Order.SNAP, drag_1_s, cos_psi, sin_psi)
     push_forward, push_right = _turned(push[0], push[1], cos_psi, sin_psi)
     a_forward, a_right = a_forward - push_forward, a_right - push_right
-    # ... and in the vehicle's, which turn at psi' (the yaw acceleration is neglected)
+    # ... and in the vehicle's axes, which rotate at psi' (the yaw acceleration is neglected)
     turn = motion.psi_rate_rad_s
     s_forward, s_right = (
         s_forward + turn * (2.0 * j_right - turn * a_forward),
@@ -306,11 +306,11 @@ def _horizontal(motion, reference, drag_1_s, limit, gain, integral, push, lags_s
 
 @compiled
 def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s, lag_s):
-    """Acceleration to command on one axis: feedback of the errors, and what makes the loop follow the reference's a.
+    """Acceleration to command on one axis: feedback of the errors, and feed-forward of the reference's a.
 
-    integral, position, velocity: errors.  tilt, tilt_rate: accelerations that the vehicle has.  a, j, s: that the
-    reference needs. The attitude loop is a'' = wn^2 (u - a) - 2 zeta wn a', and what it needs is commanded lag_s
-    earlier.
+    integral, position, velocity: errors.  tilt, tilt_rate: the vehicle's acceleration by tilt, and its rate.  a, j, s:
+    the acceleration that the reference needs, and its first two derivatives. The attitude loop is
+    a'' = wn^2 (u - a) - 2 zeta wn a'; the input that it needs is commanded lag_s earlier.
     """
     feedback = gain.integral * integral + gain.position * position + gain.velocity * velocity
     feedback += gain.tilt * (a - tilt) + gain.tilt_rate * (j - tilt_rate)
@@ -321,7 +321,7 @@ def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s, lag_s):
 
 @compiled
 def _tilt_reference(reference, order, drag_1_s, cos_psi, sin_psi):
-    """(forward, right) of a derivative of the reference that the tilt must make: with that of the drag."""
+    """(forward, right) of a derivative of the reference that the tilt must make, drag compensation included."""
     now, before = reference[order], reference[order - 1]
     north = now[Axis.X] + drag_1_s * before[Axis.X]
     east = -now[Axis.Y] - drag_1_s * before[Axis.Y]
@@ -332,7 +332,7 @@ def _tilt_reference(reference, order, drag_1_s, cos_psi, sin_psi):
 def _up(motion, reference, plant, limit, gain, integral):
     """(upward acceleration [m/s^2], whether a limit of the climb loop cut it).
 
-    Whatever the vehicle's loop takes is made of it later, so the plant is a double integrator.
+    It is converted to the input of the vehicle's climb loop later, so the plant is a double integrator.
     """
     height_error = clipped(reference[Order.POSITION, Axis.Z] - motion.up_m, limit.error_max_m)
     climb_error = reference[Order.VELOCITY, Axis.Z] - motion.up_m_s
@@ -346,7 +346,7 @@ def _up(motion, reference, plant, limit, gain, integral):
 
 @compiled
 def _told_up(up, climb_m_s, reference, climb, height):
-    """(upward acceleration to ask a climb loop for whose level, gain and lag were learnt, so that it makes this one;
+    """(upward acceleration to ask of the climb loop, with its learnt level, gain and lag, so that it makes `up`;
     whether a limit of the loop cut it).
     """
     a, j = reference[Order.ACCELERATION, Axis.Z], reference[Order.JERK, Axis.Z]
@@ -400,7 +400,7 @@ def _turned(north, east, cos_psi, sin_psi):
 
 @compiled
 def _shortened(north, east, longest):
-    """The horizontal vector, no longer than this."""
+    """The horizontal vector, shortened to `longest` if it is longer."""
     length = math.hypot(north, east)
     if length > longest:
         north, east = north * longest / length, east * longest / length
@@ -409,5 +409,5 @@ def _shortened(north, east, longest):
 
 @compiled
 def wrapped(angle_rad):
-    """The same angle, within half a turn."""
+    """The angle wrapped to +-pi."""
     return angle_rad - 2.0 * math.pi * np.rint(angle_rad / (2.0 * math.pi))

@@ -2,8 +2,8 @@
 
 The law is that of Park, Deyst and How ("A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900): a
 vehicle with speed V that sees its target at an angle eta off its course accelerates sideways by 2 V^2 / R* sin(eta).
-That is the circle through its place and the target which its course touches, when the target is R* away; behind a
-target that runs on a circle the vehicle ends up on the same circle. Along its course it keeps the range R*.
+With the target R* away, this is the circle through vehicle and target that is tangent to the course; behind a target
+that moves on a circle the vehicle converges to the same circle. Along its course it keeps the range R*.
 
 Horizontal vectors are complex numbers, north + i east.
 """
@@ -18,19 +18,19 @@ from risc_control.reference_buffer import Axis
 from risc_lab.settings import Positive
 from risc_lab.states import S
 
-_LONGEST_STEP_S = 0.1  # out of sight: after a longer gap the pursuit begins anew, from where the vehicle is
-_AT_TARGET_M = 1e-6  # nearer than this the target is in no direction
+_LONGEST_STEP_S = 0.1  # vehicle not seen: after a longer gap the pursuit restarts from where the vehicle is
+_AT_TARGET_M = 1e-6  # nearer than this the direction to the target is undefined
 
 
 @dataclass(frozen=True)
 class Params(differential_flatness.Params):
-    """The pursuit's, and those of the controller that it is in. Range and speed gain are the original release's."""
+    """Parameters of the pursuit and of `differential_flatness`. Range and speed gain are the original release's."""
 
     range_m: Positive = 0.48  # R*: how far behind the target the vehicle flies
     speed_gain_1_s: Positive = 0.9  # acceleration along the course per error of speed
     range_gain_1_s: Positive = 0.25  # speed per error of range; a quarter of the speed gain would be critically damped
     speed_max_m_s: Positive = 0.6  # while it catches up
-    slow_m_s: Positive = 0.05  # slower than this a vehicle has no course of its own: it heads for the target
+    slow_m_s: Positive = 0.05  # slower than this the course is undefined: the direction to the target is used
 
 
 def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, params):
@@ -44,7 +44,7 @@ def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, p
     course = direction if speed_m_s < params.slow_m_s else velocity_m_s / speed_m_s
     off = direction * course.conjugate()  # cos(eta) + i sin(eta)
     sin_eta = off.imag
-    if off.real < 0.0:  # a target behind is turned to as hard as one abeam
+    if off.real < 0.0:  # turn to a target behind as hard as to one abeam
         sin_eta = (-1.0 if sin_eta < 0.0 else 1.0) * abs(off)
     sideways = 2.0 * speed_m_s**2 / params.range_m * sin_eta
     wanted_m_s = target_speed_m_s + params.range_gain_1_s * (range_m - params.range_m)
@@ -55,7 +55,7 @@ def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, p
 
 @dataclass
 class _Point:
-    """What the law steers in place of a vehicle."""
+    """The point that the guidance law steers in place of a vehicle."""
 
     position_m: complex = 0j
     velocity_m_s: complex = 0j
@@ -63,24 +63,24 @@ class _Point:
     seen_s: float = -math.inf  # when its vehicle was seen last
 
     def after(self, time_s):
-        """(position, velocity, acceleration) that much later."""
+        """(position, velocity, acceleration) after time_s."""
         a = self.acceleration_m_s2
         velocity_m_s = self.velocity_m_s + time_s * a
         return self.position_m + 0.5 * time_s * (self.velocity_m_s + velocity_m_s), velocity_m_s, a
 
 
 class Controller(differential_flatness.Controller):
-    """Flies to its reference while that stands, and pursues it once it runs. Height and yaw follow it all the time.
+    """Flies to its reference while that stands still, and pursues it once it moves. Height and yaw always follow it.
 
-    The law steers a point that begins as the vehicle, and the vehicle flies to that point as to any reference. Fed back
-    on the vehicle itself its low gains would let a trim of 0.1 m/s^2 change the range by half a metre.
+    The law steers a point that starts at the vehicle, and the vehicle tracks that point like any reference. Applied to
+    the vehicle itself, its low gains would let a trim error of 0.1 m/s^2 change the range by half a metre.
     """
 
     PARAMS = Params
     target_speed_m_s = 0.0  # of the target that is pursued; 0: fly to the reference itself
     range_m = np.array([np.nan])  # (n,) horizontal distance to the reference at the last update; NaN = not known
-    _points = ()  # of the vehicles, while the target runs
-    _points_s = -math.inf  # when they are there
+    _points = ()  # one per vehicle, while the target moves
+    _points_s = -math.inf  # time of their positions
 
     def step(self, t, states, reference, params):
         """As `controllers.Controller`; the reference is that of the target."""
@@ -100,8 +100,8 @@ class Controller(differential_flatness.Controller):
     def _steer(self, stamp_s, states, reference, params):
         """Move the points on to stamp_s.
 
-        The point of a vehicle that is seen, but not flown by us or without a target, is with it. While a vehicle is out
-        of sight its state means nothing: its point runs on without it.
+        The point of a vehicle that is seen, but that we do not fly or that has no target, is put at the vehicle. While
+        a vehicle is not seen, its point moves on without it.
         """
         (seen, x), target, usable = states.vehicles, reference.present[0], reference.usable
         step_s, self._points_s = stamp_s - self._points_s, stamp_s
@@ -124,7 +124,7 @@ class Controller(differential_flatness.Controller):
                 )
 
     def _fill(self, reference, times_s):
-        """The points so long (n,) after the last stamp into the horizontal axes of a reference (5, n, 4)."""
+        """Write the points, times_s (n,) after the last stamp, to the horizontal axes of a reference (5, n, 4)."""
         reference[:, :, : Axis.Z] = 0.0
         for i, point in enumerate(self._points):
             for order, vector in enumerate(point.after(times_s[i])):

@@ -1,6 +1,6 @@
-"""What the thesis describes (7.7-7.10): LQR on a double integrator, feed-forward of the acceleration, present state.
+"""The thesis' controller (7.7-7.10): LQR on a double integrator, feed-forward of the acceleration, no prediction.
 
-For teaching, and to measure what the rest of `differential_flatness` is worth. Errors are reference - actual and
+For teaching, and to measure what the additions of `differential_flatness` bring. Errors are reference - actual and
 feedback is +K (errata 6, 7).
 """
 
@@ -23,9 +23,9 @@ from risc_lab.states import S
 
 @dataclass(frozen=True)
 class Params(Settings):
-    """Diagonals of Q and R: about the best without prediction for velocities that arrive 0.12 s late (filter thesis).
+    """Diagonals of Q and R: about the best without prediction for velocities that arrive 0.12 s late (filter `thesis`).
 
-    These bear no larger gain. The original's weights (17.22, 1.62) oscillate at 0.1 s of command delay.
+    Such velocities allow no larger gain. The original's weights (17.22, 1.62) oscillate at 0.1 s of command delay.
     """
 
     q_position: NotNegative = 1.5  # horizontal [1/m^2]
@@ -36,7 +36,7 @@ class Params(Settings):
     r_vertical: Positive = 1.0
     q_yaw: NotNegative = 1.0  # [1/rad^2]
     r_yaw: Positive = 1.0
-    error_max_m: Positive = 0.4  # [m] larger position errors count as this long
+    error_max_m: Positive = 0.4  # [m] larger position errors are shortened to this
 
 
 _GAINS = record("position velocity height climb yaw")
@@ -44,7 +44,7 @@ _VEHICLE = record("mass_kg tilt_max_rad")
 
 
 class Controller(controllers.Controller):
-    """See the module. Delays do not matter to it, nor who flies; nothing is remembered."""
+    """See the module. It ignores delays and who flies, and stores nothing."""
 
     PARAMS = Params
     # Measured together with the thesis' own filter; with a filter without delay its error is half as large.
@@ -90,7 +90,7 @@ def _step(vehicles, gains, error_max_m, x, usable, present, commands, saturated)
         if not usable[i]:
             continue
         position, velocity, acceleration = present[0, i], present[1, i], present[2, i]
-        # (7.7): u = K (x_r - x), with an error that is no longer than its limit
+        # (7.7): u = K (x_r - x), with the position error shortened to its limit
         e_x, e_y, e_z = position[Axis.X] - x[i, S.X], position[Axis.Y] - x[i, S.Y], position[Axis.Z] - x[i, S.Z]
         distance_m = math.sqrt(e_x * e_x + e_y * e_y + e_z * e_z)
         scale = error_max_m / distance_m if distance_m > error_max_m else 1.0

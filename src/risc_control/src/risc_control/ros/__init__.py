@@ -1,1 +1,1 @@
-"""What the nodes of this package share that needs ROS: messages <-> arrays, parameters, wiring."""
+"""Code of the nodes of this package that needs ROS: messages <-> arrays, parameters, wiring."""

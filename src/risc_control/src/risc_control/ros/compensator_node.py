@@ -1,8 +1,8 @@
 """Wiring of the delay compensation: /cortex_raw and /commands_sent -> /cortex_estimate. See `lag_compensator`.
 
-The node of the original is `rosrun risc_estimation Lag_compensator.py`. Its states hold when a command that is sent now
-takes effect; the stamp is that of the states that it was given, by which their age is judged. For controllers that do
-not look ahead themselves: those of `controllers` do.
+The node of the original is `rosrun risc_estimation Lag_compensator.py`. Its states are predicted to the time when a
+command that is sent now takes effect; the stamp is that of the input states, by which their age is judged. It is for
+controllers that do not predict themselves; those of `controllers` do.
 """
 
 import threading
@@ -29,14 +29,14 @@ from risc_maap_msgs.msg import CommandsSent
 
 @dataclass(frozen=True)
 class CompensatorParams(Settings):
-    """Of the node; which vehicles and of which types: as of the controllers."""
+    """Parameters of the node; vehicles and types are set as for the controllers."""
 
     states_topic: Name = "/cortex_raw"  # or /cortex_ekf
     state_timeout: between(0.0, 0.2) = 0.2  # [s] older states are not predicted: no vehicle is visible
 
 
 class CompensatorNode:
-    """Answers every message of states with one of states ahead."""
+    """Answers every message of states with one of predicted states."""
 
     def __init__(self):
         (params,) = load_params(CompensatorParams, known=(*VEHICLE_KEYS, *LEGACY_PARAMETERS), lenient=True)

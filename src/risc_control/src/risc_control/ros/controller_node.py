@@ -36,28 +36,28 @@ from risc_maap_msgs.msg import (
     VehicleStatus,
 )
 
-_REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
+_REFERENCES_HZ = 50.0  # read of 200: the polynomial through them is good far beyond the command delay
 _RAW = "/cortex_raw"
 _AGAIN_S = 10.0  # between two warnings of the same kind
 
 
 @dataclass(frozen=True)
 class ControllerParams(Settings):
-    """Of the node; those of its controller are private parameters, too, by the names of its YAML file."""
+    """Parameters of the node; those of its controller are private parameters, too, named as in its YAML file."""
 
-    controller: str  # name of one, see `controllers`
-    vehicle_type: str = ""  # of all vehicles; "": what the fleet says
-    # of the states: /cortex_ekf are those of quad_EKF.py. What is safe the vehicle nodes judge by /cortex_raw
+    controller: str  # name of a controller, see `controllers`
+    vehicle_type: str = ""  # of all vehicles; "": that of the fleet file
+    # topic of the states; /cortex_ekf: those of quad_EKF.py. Vehicle nodes always judge safety by /cortex_raw
     states_topic: Name = _RAW
-    state_timeout: Positive = 0.2  # [s] an older state is not answered
-    reference_timeout: Positive = 0.2  # [s] nor a vehicle whose newest reference is older
+    state_timeout: Positive = 0.2  # [s] no command for an older state
+    reference_timeout: Positive = 0.2  # [s] no command for a vehicle whose newest reference is older
 
 
 class ControllerNode:
     """Runs a controller on every state. Subclasses may bring their own references (`_references`)."""
 
     def __init__(self, controller, fleet_vehicles=None, known=()):
-        """controller: name of one, if ~controller does not say another.  known: private parameters of others."""
+        """controller: name, unless ~controller is set.  known: private parameters that are read elsewhere."""
         defaults = default_params(rospy.get_param("~controller", controller))
         known = (*known, *VEHICLE_KEYS, *LEGACY_PARAMETERS)
         node, params = load_params(ControllerParams(controller), defaults, known=known, lenient=True)
@@ -77,7 +77,7 @@ class ControllerNode:
         # for the vehicle nodes, which compare them with their own
         of_types = [{field: getattr(vehicle_type, field) for field in FULL_SCALES} for vehicle_type in types]
         rospy.set_param("~full_scales", dict(zip(self.names, of_types)))
-        # A vehicle that nothing was heard of may be one without vehicle node: its commands count.
+        # A vehicle whose status was not heard may be one without vehicle node: its commands count as sent.
         self._autonomous = np.ones(len(self.names), dtype=bool)
         self._buffers = {}  # names of a message -> (ReferenceBuffer, rows, columns of the message)
         self._lock = threading.Lock()
@@ -86,7 +86,7 @@ class ControllerNode:
         self._counts = dict.fromkeys(counted, 0)
         self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
-        self._answered = None  # (reference, States, who has both) of the newest states
+        self._answered = None  # (reference, States, (n,) bool: has both) of the newest states
         self._covariances, self._covariances_s = None, -np.inf  # `Bundle.covariances`, and the stamp of their frame
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
         self._everyone = list(range(len(self.names)))
@@ -98,7 +98,7 @@ class ControllerNode:
         ticking_updater(", ".join(self.names)).add("controller", self._diagnose)
         config = reconfigurable(params, descriptions(node.controller))
         for name, value in config.defaults.items():
-            rospy.set_param("~" + name, value)  # where the server looks; a text there would end it
+            rospy.set_param("~" + name, value)  # where the server reads it; a text there would end the server
         self._server = Server(config, self._on_reconfigure)
         for i, (vehicle, vehicle_type) in enumerate(zip(fleet_vehicles, types)):
             topic = "/%s/controller_status" % vehicle.namespace
@@ -126,7 +126,7 @@ class ControllerNode:
         else:
             topic, kind, callback = "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory
         self._references_in = PacedSubscriber(topic, kind, callback, _REFERENCES_HZ)
-        if self._loop.controller.COVARIANCES and self._states_topic == _RAW:  # those of /cortex_ekf nobody tells
+        if self._loop.controller.COVARIANCES and self._states_topic == _RAW:  # those of /cortex_ekf are not published
             _hear_newest("/state_covariances", StateCovariances, self._on_covariances)
         self._subscribe_to_states()
 
@@ -134,11 +134,11 @@ class ControllerNode:
         _hear_newest(self._states_topic, CortexArrays.Raw, self._on_states)
 
     def _on_reconfigure(self, config, _level):
-        """New numbers in flight; impossible ones change nothing."""
+        """New parameters in flight; impossible ones are rejected, and the old ones stay."""
         params = self._loop.params
         numbers = {item.name: config[item.name] for item in fields(params) if item.name in config}
         try:
-            self._loop.set_params(settings_from(type(params), {**vars(params), **numbers}))  # which must be finite
+            self._loop.set_params(settings_from(type(params), {**vars(params), **numbers}))  # these must be finite
         except ValueError as error:
             rospy.logerr("controller parameters rejected: %s", error)
             config.update({name: getattr(params, name) for name in numbers})
@@ -213,7 +213,7 @@ class ControllerNode:
                 self._loop.forget_times()
             age_s = now_s - stamp_s
             if abs(age_s) > self._state_timeout_s:
-                # nothing that happened so long ago says what to do now
+                # a state this old does not tell what to do now
                 self._counts["late"] += 1
                 states, bodies = states._replace(visible=np.zeros(len(self.names), dtype=bool)), None
             sent_s = min(now_s, stamp_s + self._state_timeout_s)
@@ -222,8 +222,8 @@ class ControllerNode:
             fresh = abs(stamp_s - self._covariances_s) <= self._state_timeout_s
             told = states, present, ahead, usable, self._autonomous, bodies, self._covariances if fresh else None
             output = self._loop.update(stamp_s, sent_s, *told)
-            # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
-            # a state or a reference behind it would look alive.
+            # Without commands for a vehicle the failsafe ladder of its node acts: hold, then land. A command that is
+            # based on no state or no reference would look like a sign of life.
             asked = usable & states.visible
             known = asked & output.finite
             self._publisher.publish(self._message.fill(header.stamp, output.controls, known))
@@ -250,7 +250,7 @@ class ControllerNode:
         """For subclasses: called after every update of the controller, with the lock held."""
 
     def _references(self, times_s, now_s):
-        """(references (k, orders, n, 4) at times (k,), (n,) bool: there is a fresh one)."""
+        """(references (k, orders, n, 4) at times (k,), (n,) bool: the vehicle has a fresh one)."""
         fresh = [e for e in self._buffers.values() if abs(now_s - e[0].newest_s) <= self._reference_timeout_s and e[1]]
         if len(fresh) == 1 and fresh[0][1] == self._everyone == fresh[0][2]:
             return fresh[0][0].at(times_s), fresh[0][0].known
@@ -262,7 +262,7 @@ class ControllerNode:
         return values, usable
 
     def _diagnose(self, status):
-        """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""
+        """Diagnostics for people; values that other programs use are published as a ControllerReport."""
         with self._lock:
             _, rates = self._growth(self._counts)
             cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
@@ -289,7 +289,7 @@ class ControllerNode:
 
 
 def other_numbers(params, defaults):
-    """What is not as in a controller's YAML file, in words with a place for the node's name; "" when nothing is."""
+    """Text that lists the parameters not as in a controller's YAML file, with a %s for the node's name; "" if none."""
     values = zip(vars(params).items(), vars(defaults).values())
     others = ["%s %s (%s)" % (name, value, of_file) for (name, value), of_file in values if value != of_file]
     text = (
@@ -300,11 +300,11 @@ def other_numbers(params, defaults):
 
 
 def reconfigurable(params, texts):
-    """What dynamic_reconfigure is to know of the numbers of a controller: what a .cfg file would generate.
+    """Description of a controller's numbers for dynamic_reconfigure: what a .cfg file would generate.
 
     texts: {name: description}.
 
-    Ranges are the limits of the class; a limit that it does not allow itself, as the 0 of `Positive`, it refuses.
+    Ranges are the limits of the class. A limit that is itself excluded, as the 0 of `Positive`, the class refuses.
     """
     limits = limits_of(type(params))
     numbers = {name: value for name, value in vars(params).items() if isinstance(value, float)}
@@ -320,7 +320,7 @@ def reconfigurable(params, texts):
 
 
 def _hear_newest(topic, kind, callback):
-    """Of what has come meanwhile the newest is answered."""
+    """Subscribe to a topic; of the messages that are waiting only the newest is handled."""
     subscribe(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES)
 
 
@@ -331,5 +331,5 @@ def _errors_m(reference, states, known):
 
 
 def main(name, make_node):
-    """Run a node between frame and command until shutdown; wrong parameters end it with one line."""
+    """Run a node with low latency until shutdown; wrong parameters end it with one line."""
     run(name, make_node, low_latency.start, low_latency.spin)

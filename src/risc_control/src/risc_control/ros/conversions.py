@@ -15,10 +15,10 @@ _RAD_PER_DEG = math.pi / 180.0
 
 
 class StatesReader:
-    """States of these vehicles, and of what they carry, from /cortex_raw, message after message."""
+    """Reads the states of these vehicles, and of the bodies that they carry, from messages of /cortex_raw."""
 
     def __init__(self, names, carried=()):
-        """carried: name of what each vehicle carries, None where that is nothing; () when nobody's is wanted."""
+        """carried: name of the body that each vehicle carries, None if none; () if no bodies are wanted."""
         self._names, self._carried = tuple(names), tuple(carried) if any(carried) else ()
         self.bodies = None  # `controllers.Bundle.bodies` of the newest message; None when no vehicle carries anything
         self._message = CortexArrays(())
@@ -37,7 +37,7 @@ class StatesReader:
         return message.header, self._states()
 
     def _adopt(self):
-        """The message has other arrays than before: its entries have changed."""
+        """Find the rows of our vehicles again: the entries of the message have changed."""
         message = self._message
         self._data, self._degrees, self._seen = message.data, message.states, message.visible
         at = {name: row for row, name in enumerate(message.names)}
@@ -81,7 +81,7 @@ def _pick_states(degrees, seen, rows, visible, x):
 def note_commands(message, index, history, tolerance_s):
     """Note a CommandsSent in a CommandHistory. Returns how many of its commands were noted.
 
-    index: {name of a vehicle: its row}.  tolerance_s: by a clock that differs from ours by more, nothing is known.
+    index: {name of a vehicle: its row}.  tolerance_s: commands whose time differs from our clock by more are skipped.
     """
     now_s, noted = ros_time_s(), 0
     for command in message.commands:
@@ -115,7 +115,7 @@ class ControlsMessage:
         self._names, self._frame_id = tuple(names), frame_id
         self._message = self._of(self._names)
         nothing, everyone = np.zeros(len(self._names)), np.ones(len(self._names), dtype=bool)
-        self.fill(self._message.header.stamp, [nothing] * 4, everyone)  # loads what is compiled
+        self.fill(self._message.header.stamp, [nothing] * 4, everyone)  # loads the compiled code
 
     def _of(self, names):
         message = ControlsArrays(names)

@@ -1,4 +1,4 @@
-"""Nodes of the original release that are trajectory and controller of one vehicle in one."""
+"""Nodes of the original release that combine trajectory and controller of one vehicle."""
 
 import time
 from dataclasses import dataclass, fields
@@ -33,7 +33,7 @@ class ExperimentNode(ControllerNode):
 
     def __init__(self, courses, kind="", known=()):
         """courses: of one vehicle each; the joystick's bumpers step through several.  kind: type of the vehicle.
-        known: private parameters of others.
+        known: private parameters that are read elsewhere.
         """
         fleet_vehicles = vehicles(only_one=True, kind=kind)
         kinds = (TrajectoryParams, BumperParams)[: min(len(courses), 2)]
@@ -68,7 +68,7 @@ class ExperimentNode(ControllerNode):
 
 
 class _HearsAutopilot:
-    """As the originals they hear the battery on /apm/status, too: where no vehicle node tells its vehicle's status."""
+    """As in the original, the battery is also read from /apm/status, for when no vehicle node publishes the status."""
 
     def _subscribe(self):
         adapter_class(load_vehicle_type(IRIS)).listen("/", self._on_autopilot, partial(subscribe, queue_size=1))
@@ -95,7 +95,7 @@ class IrisExperiment(_HearsAutopilot, ExperimentNode):
 
 @dataclass(frozen=True)
 class HoldParams(Settings):
-    """Of an IrisHold."""
+    """Parameters of an IrisHold."""
 
     height_m: Positive = COURSE_HEIGHT_M
 

@@ -23,7 +23,7 @@ _ANSWER_S = 1.0
 
 
 def origin(message):
-    """(age [s], name of the node that sent it) of a message with a header; without a stamp it is as old as its arrival.
+    """(age [s], name of the sending node) of a message with a header; without a stamp its age is 0 on arrival.
 
     The age is by the clocks of two computers: `message_age.MessageAges` corrects it.
     """
@@ -41,7 +41,7 @@ def claim_buttons(functions, topics=("joy",)):
     own = rospy.get_name()
     claims = [[rospy.resolve_name(topic), name, int(index)] for topic in topics for name, index in functions.items()]
     place = _CLAIMS + own.replace("/", "_")
-    rospy.set_param(place, {"node": own, "buttons": claims})  # first: of two that start together one sees the other
+    rospy.set_param(place, {"node": own, "buttons": claims})  # first: of two that start together, one sees the other
     for other in rospy.get_param(_CLAIMS, {}).values():
         for (topic, name, index), (their_topic, their_name, their_index) in product(claims, other["buttons"]):
             is_same = (topic, index) == (their_topic, their_index) and name != their_name
@@ -65,20 +65,20 @@ def _runs(node):
 
 @dataclass(frozen=True)
 class ButtonParams(Settings):
-    """Of a node that listens for buttons; a subclass has those: by their names, indices from 0."""
+    """Parameters of a node that uses buttons; a subclass adds them: {name: index from 0}."""
 
-    joystick_late_s: Positive = LATE_S  # [s] a press that comes later is told, not obeyed
+    joystick_late_s: Positive = LATE_S  # [s] a press that is older on arrival is logged, not obeyed
 
 
 class ButtonSubscriber:
     """Calls back when buttons go down on `joy`."""
 
     def __init__(self, params, callback):
-        """params: ButtonParams, whose buttons no other node may take for something else.
+        """params: ButtonParams, whose buttons no other node may use for something else.
         callback: takes the frozenset of the indices that one message presses, never empty.
 
-        Presses are worked off one after the other in a thread of their own: as long as the callback takes, messages
-        would wait, and look as if the network had held them up. Raises ValueError for a button that is taken.
+        Presses are handled one after the other in a separate thread: otherwise messages would wait for the callback,
+        and look as if the network had delayed them. Raises ValueError for a button that is taken.
         """
         functions = dict(vars(params))
         late_s = functions.pop("joystick_late_s")
@@ -87,7 +87,7 @@ class ButtonSubscriber:
         self._pressed = queue.SimpleQueue()
         self._lock = threading.Lock()  # every sender has a thread of its own
         claim_buttons(functions)
-        # Every message: of a burst that a network held up, the first say that a press is old.
+        # Queue every message: in a burst that the network delayed, the first ones show that a press is old.
         subscribe("joy", Joy, self._on_joy, queue_size=None)
         threading.Thread(target=self._run, daemon=True).start()
 

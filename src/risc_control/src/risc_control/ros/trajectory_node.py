@@ -37,7 +37,7 @@ from risc_lab.ros.ticker import Ticker
 from risc_lab.settings import Count, Settings, between, settings_from
 from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
-_WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
+_WATCH_HZ = 50.0  # how often the positions of vehicles flown by others are read
 
 # Ways begin this long after the order: planning takes 10 ms for three vehicles, some 300 ms for fifty, and the
 # references go on meanwhile.
@@ -48,14 +48,14 @@ _REST_S = 1.0  # after planning has failed
 
 @dataclass(frozen=True)
 class TrajectoryParams(WayLimits):
-    """Of all nodes that make references."""
+    """Parameters of all nodes that publish references."""
 
     rate: between(1.0, 1000.0) = 200.0  # [Hz]
     home_height: float = 1.0  # [m]
     wait_for_autonomous: bool = True  # False: on the course from the first moment on, in every mode
-    wait_for_all: bool = True  # nobody starts while a vehicle hovers there that is not autonomous
+    wait_for_all: bool = True  # no vehicle starts while one hovers that is not autonomous
     psi_deg: float | Literal[""] = ""  # constant heading; "": that of the course
-    yaw_along_path: bool = False  # the nose leads
+    yaw_along_path: bool = False  # the nose points along the path
 
     @property
     def yaw(self):
@@ -67,9 +67,9 @@ class TrajectoryParams(WayLimits):
 
 @dataclass(frozen=True)
 class CourseParams(Settings):
-    """Of nodes whose course is chosen by a parameter."""
+    """Parameters of nodes whose course is chosen by a parameter."""
 
-    course_speed: float | str = ""  # its largest [m/s], or e.g. 2x for twice as fast as by its numbers; "": by these
+    course_speed: float | str = ""  # largest speed [m/s], or e.g. 2x for twice the course's own; "": the course's own
 
 
 class ManagerWiring:
@@ -80,10 +80,10 @@ class ManagerWiring:
 
     def __init__(self, fleet_vehicles, course, params, kind=TrajectoryManager, listens=True):
         """course: one that the vehicles can fly.  params: TrajectoryParams.  kind: TrajectoryManager or a subclass.
-        listens: to the states; a node that does it itself calls `look`.
+        listens: whether it subscribes to the states; if not, the node calls `look`.
         """
         self.vehicles, self.params = fleet_vehicles, params
-        self.clock = SteadyClock()  # that of the courses: a clock that is set moves no reference
+        self.clock = SteadyClock()  # time of the courses: setting the computer's clock moves no reference
         smooth = params.wait_for_autonomous
         self.manager = make_manager(
             fleet_vehicles,
@@ -99,16 +99,16 @@ class ManagerWiring:
         self._to_plan = threading.Event()
         threading.Thread(target=self._plan, name="planner", daemon=True).start()
         self._reader = StatesReader(self.manager.names)
-        self._unseen = set(self.manager.names) if smooth else set()  # where they are is not known yet
+        self._unseen = set(self.manager.names) if smooth else set()  # vehicles whose position is not known yet
         self._publisher = rospy.Publisher("trajectory_phase", TrajectoryPhases, queue_size=10, latch=True)
         self.announce(course)
         self._watcher = None
-        self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
+        self._watch_lock = threading.Lock()  # separate: held while the master is asked; references must not wait
         self._serve("~go_home", self.manager.go_home, "going home", "no vehicle is flying a course")
         self._serve("~start", self.manager.start, "starting", "no vehicle hovers at home in autonomous mode")
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
-            # every word: one that hung must not overlook that a vehicle was flown by hand meanwhile
+            # every message: a node that hung must not miss that a vehicle was flown by hand meanwhile
             subscribe(topic, Bool, self._on_status, vehicle.template, queue_size=None)
         subscribe("reference_order", UInt8, self._on_reference_order, queue_size=10)
         self._listens = smooth and listens
@@ -139,11 +139,11 @@ class ManagerWiring:
             self.announce(course)
 
     def announce(self, course):
-        """This is the course that is flown; the next sample tells it. The caller holds the lock."""
+        """Set the course that is flown, to be published with the next sample. The caller holds the lock."""
         self._course, self._phases = course.name, None
 
     def _watch(self):
-        """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""
+        """Subscribe to the states only while positions are needed: they come 200 times a second."""
         if not self._listens:
             return
         with self._watch_lock:
@@ -154,7 +154,7 @@ class ManagerWiring:
                 self._watcher = None
 
     def look(self, message):
-        """See where the vehicles are. message: of /cortex_raw, its bytes."""
+        """Take the positions of the vehicles. message: of /cortex_raw, its bytes."""
         with self.lock:
             _, states = self._reader.read(message.buff)
             for i in np.flatnonzero(states.visible):
@@ -165,7 +165,7 @@ class ManagerWiring:
 
     def _on_status(self, message, name):
         if message.data and name in self._unseen:
-            return  # it would be held at a place where it is not; it is said again and again
+            return  # it would be held where it is not; the status comes again and again
         with self.lock:
             changed = self.manager.set_autonomous(name, message.data, self.clock.now_s())
         if changed:
@@ -192,12 +192,12 @@ class ManagerWiring:
             self._to_plan.clear()
             try:
                 self._plan_tasks()
-            except Exception:  # whatever it is, the next task must be planned; meanwhile all fly on as they do
+            except Exception:  # after any error the next task must be planned; meanwhile all vehicles fly on
                 rospy.logerr("ways cannot be planned, please report it\n%s", traceback.format_exc())
                 time.sleep(_REST_S)
 
     def _plan_tasks(self):
-        """Plan what is to be planned, until nothing is left."""
+        """Plan tasks until none is left."""
         task = self.manager.task
         while task is not None:
             plan = plan_ways(task)
@@ -239,8 +239,8 @@ class TrajectoryNode(ReferenceNode):
     """The references of a fleet on a course."""
 
     def __init__(self, default_course, *kinds, **default_options):
-        """default_course: name in COURSES, unless ~course says another.  kinds: dataclasses of further parameters,
-        which are in `more`.  default_options: as make_course takes them.
+        """default_course: name in COURSES, unless ~course is set.  kinds: dataclasses of further parameters, which are
+        stored in `more`.  default_options: options of make_course.
         """
         name, fleet_vehicles = chosen_course(default_course), vehicles()
         own = default_options if name == default_course else {}
@@ -248,7 +248,7 @@ class TrajectoryNode(ReferenceNode):
         params, speed, numbers, *self.more = load_params(
             TrajectoryParams, CourseParams, numbers, *kinds, known=("course", "waypoints", *VEHICLE_KEYS), lenient=True
         )
-        # what nobody has said may be another number for wide vehicles
+        # numbers that are not set may have another default for wide vehicles
         said = {key: number for key, number in vars(numbers).items() if key in own or rospy.has_param("~" + key)}
         course, factor = fleet_course(name, fleet_vehicles, known_arena(), speed.course_speed, params.yaw, **said)
         warn_of_near_vehicles(course, fleet_vehicles)
@@ -256,7 +256,7 @@ class TrajectoryNode(ReferenceNode):
 
 
 def chosen_course(default):
-    """What `make_course` takes, of the parameters ~waypoints (the content of a file) or ~course (a name, or a file).
+    """Argument for `make_course`, from the parameters ~waypoints (content of a file) or ~course (a name, or a file).
 
     Raises ValueError.
     """
@@ -285,7 +285,7 @@ class BumperParams(ButtonParams):
 
 
 class CourseSelector:
-    """Steps a ManagerWiring through courses, round and round, by two joystick buttons."""
+    """Steps a ManagerWiring cyclically through courses, by two joystick buttons."""
 
     def __init__(self, wiring, courses, params):
         """courses: list of Course; the first is flown at the start.  params: BumperParams.

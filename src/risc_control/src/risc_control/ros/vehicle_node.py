@@ -1,6 +1,6 @@
 """The vehicle node: joystick, safety and input mapping of one vehicle, or of several (`risc_controller.py`, ...).
 
-Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `failsafe`.
+Wiring only: decisions are made in `vehicle_pilot`, `joystick` and `failsafe`.
 """
 
 import ipaddress
@@ -44,19 +44,19 @@ from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import CommandsSent, EstimatorStatus, Safety, TakeoffRefusals, VehicleNodeStatus, VehicleStatus
 
 _RAD_PER_DEG = math.radians(1.0)
-_TO_RADIANS = np.array([1.0] * 6 + [_RAD_PER_DEG] * 6)  # what makes rows of /cortex_raw those of `risc_lab.states.S`
+_TO_RADIANS = np.array([1.0] * 6 + [_RAD_PER_DEG] * 6)  # converts rows of /cortex_raw to those of `risc_lab.states.S`
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
 _LAND_ROUNDS = 60  # at shutdown in flight: how often the last orders are repeated, at most
 _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
-_VEHICLE_STATUS_S = 0.2  # at most so often, while its state stays
-_REFERENCES_HZ = 20.0  # how often references are looked at
-SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales;
-_GONE_S = 5.0  # after so long what is known of its full scales counts no more
-_VEHICLES_A_TURN = 5  # that one message of the controller commands;
-_MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
+_VEHICLE_STATUS_S = 0.2  # interval of vehicle_status while the state does not change
+_REFERENCES_HZ = 20.0  # how often references are read
+SILENCE_S = 0.5  # a controller or a driver that was silent for longer may be another one, with other full scales;
+_GONE_S = 5.0  # after this silence its full scales are forgotten
+_VEHICLES_A_TURN = 5  # vehicles that one message of the controller commands;
+_MOST_GROUPS = 6  # more vehicles in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _NONE = rospy.Time()
 _LOGS = {"info": rospy.loginfo, "warn": partial(rospy.logwarn_throttle_identical, 2.0), "error": rospy.logerr}
 
@@ -66,14 +66,14 @@ class VehicleNode:
 
     namespace: "" = relative names, for a node started inside its vehicle's group; "risc1" = the absolute names
     /risc1/..., as the riscN_controller.py of the original release. With ~vehicles, a list of namespaces of /fleet, the
-    node is for all of them, on the absolute names of each; all have the node's parameters.
+    node flies all of them, on the absolute names of each and with the same parameters.
     """
 
     def __init__(self, namespace=""):
         values, fleet = rospy.get_param("~", {}), known_fleet()
         defaults = VehicleNodeParams(**fence_of(fleet.arena if fleet else Arena()))
         (params,) = load_params(defaults, known=("type", *VEHICLE_KEYS, *LEGACY_PARAMETERS), lenient=True)
-        self.params, self.errands = params, queue.Queue()  # functions: the master must not hold up a callback
+        self.params, self.errands = params, queue.Queue()  # functions that call the master: no callback may wait for it
         threading.Thread(target=self._run_errands, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
         if not params.ladder:
@@ -86,7 +86,7 @@ class VehicleNode:
         wide_m = wider_m(everybody) | {who.template: kind.wider_m for (who, _, _), kind in zip(chosen, types)}
         rates_hz = [params.rate_hz(vehicle_type) for vehicle_type in types]
         turns_s = _turns_s([1.0 / rate_hz for rate_hz in rates_hz])
-        self.sent = queue.SimpleQueue()  # of CommandSent: those that have their turn together share a message
+        self.sent = queue.SimpleQueue()  # of CommandSent: those sent in the same turn share a message
         self._sent_lock = threading.Lock()
         self._sent_publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
         self.controllers_s = {}  # {node of a controller: when it was heard last}
@@ -97,7 +97,7 @@ class VehicleNode:
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
         others = [vehicle for vehicle in everybody if vehicle.template not in self._by_name]
-        # how long it counts that another node holds or lands its vehicle
+        # until when it counts that another node holds or lands its vehicle
         self._held_until_s = {vehicle.template: -math.inf for vehicle in others}
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
@@ -107,7 +107,7 @@ class VehicleNode:
         self._tick_s = 1.0 / tick_hz
         self._streams = defaultdict(lambda: ControllerStream(self._tick_s))  # {sender of /controls: its stream}
         self._heard = {}  # {topic: {sender: names of its messages}}
-        self._complete = set()  # topics that have all vehicles
+        self._complete = set()  # topics on which all vehicles were found
         self._answering, self._looking = threading.Lock(), threading.Lock()  # senders have threads of their own
         self._diagnostics = make_updater(", ".join(self._by_name))
         for vehicle in self._vehicles:
@@ -136,13 +136,13 @@ class VehicleNode:
             give_up(error)
 
     def nearest(self, name):
-        """`Separation.nearest` of now."""
+        """`Separation.nearest` at the present time."""
         return self._separation.nearest(name, time.monotonic())
 
     def _on_controls(self, message):
-        """Commands leave here, with the next message when vehicles take one; what comes in between is not even read.
+        """Send commands: vehicles that are due get that of the next message; messages in between are not even read.
 
-        Returns when to read on [s]. Every sender has a thread, and vehicles of its own.
+        Returns when to read the next message [s]. Every sender has its own thread, and its own vehicles.
         """
         with self._answering:
             controls = self._controls.deserialize(message.buff)
@@ -165,7 +165,7 @@ class VehicleNode:
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
     def _on_safety_of(self, name, message):
-        """What another node does with a vehicle. It counts for a time: that node may have died since."""
+        """Note whether another node holds or lands a vehicle. It counts for a time: that node may have died since."""
         alone = message.level > Safety.OK and message.rule != Safety.SEPARATION
         self._held_until_s[name] = time.monotonic() + self.params.separation_forget_s if alone else -math.inf
 
@@ -210,7 +210,7 @@ class VehicleNode:
             self._separation.refer(references.names, references.derivatives, time.monotonic() - age_s)
 
     def _tell_missing(self, topic, who, names, cure):
-        """Vehicles are found by name (D-27), each in the messages of some sender. names: those of the message."""
+        """Warn if a vehicle is in no sender's messages; they are found by name (D-27). names: of this message."""
         heard = self._heard.setdefault(topic, {})
         if heard.get(who) is not names:
             heard[who] = names
@@ -232,7 +232,7 @@ class VehicleNode:
         self._tell_sent()
 
     def _tell_sent(self):
-        """What was sent since the last time, in the order of sending."""
+        """Publish what was sent since the last call, in the order of sending."""
         with self._sent_lock:
             commands = [self.sent.get() for _ in range(self.sent.qsize())]
             if commands:
@@ -241,7 +241,7 @@ class VehicleNode:
                 self._sent_publisher.publish(message)
 
     def _compare(self, controller):
-        """A controller says what full scales it reckons with; one that says nothing is believed."""
+        """Compare the full scales that a controller states with ours; a controller that states none is accepted."""
         theirs = rospy.get_param(controller + "/full_scales", {})
         for vehicle in self._vehicles:
             vehicle.compare(theirs.get(vehicle.name, {}), controller)
@@ -251,7 +251,7 @@ class VehicleNode:
             errand = self.errands.get()
             try:
                 errand()
-            except Exception as error:  # whatever it is, the next errand must come
+            except Exception as error:  # after any error the next errand must still run
                 rospy.logwarn_throttle(10.0, "parameter server: %s: %s" % (type(error).__name__, error))
 
     def _on_shutdown(self):
@@ -273,13 +273,13 @@ def land(vehicles):
 
 
 def _contained(method):
-    """The method of a _Vehicle, of which an error is no other vehicle's affair, and not the end of its thread."""
+    """Decorator for methods of _Vehicle: an error affects no other vehicle and does not end the thread."""
 
     @wraps(method)
     def run(self, *arguments):
         try:
             method(self, *arguments)
-        except Exception as error:  # whatever it is, the next message must come
+        except Exception as error:  # after any error the next message must still be handled
             if self.failures.note(error):
                 self.give_up(error)
 
@@ -287,18 +287,18 @@ def _contained(method):
 
 
 class _Vehicle:
-    """One vehicle of the node. Its trouble is its own: what fails here, fails for no other vehicle."""
+    """One vehicle of the node. What fails here, fails for no other vehicle."""
 
     def __init__(self, node, fleet_vehicle, prefix, is_alone, vehicle_type, turn_s):
-        """prefix: of its topics.  is_alone: its shut-down button ends the node.  turn_s: when one of its turns to take
-        commands begins.
+        """prefix: of its topics.  is_alone: its shut-down button ends the node.  turn_s: start of one of its slots for
+        commands.
         """
         self.name = fleet_vehicle.template
         self._node, self._type, self._prefix, self._is_alone = node, vehicle_type, prefix, is_alone
         self._turn_s = turn_s
         now_s = time.monotonic()
         self.pilot = VehiclePilot(node.params, vehicle_type, now_s, turn_s, None, self._nearest, listens_since_s=now_s)
-        self._drivers_s = {}  # {node that the vehicle's status came from: when last}
+        self._drivers_s = {}  # {node that sends the vehicle's status: when it was heard last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
         self.failures = Failures("%s: the vehicle node" % self.name)
@@ -320,8 +320,8 @@ class _Vehicle:
         return rospy.Publisher(self._prefix + topic, message, queue_size=10, tcp_nodelay=True, **options)
 
     def listen(self):
-        """Begin: what arrives from now on counts."""
-        # Every joystick message: of a burst that a network held up, the first say that a press is old.
+        """Subscribe to the vehicle's topics and offer its service."""
+        # Queue every joystick message: in a burst that the network delayed, the first ones show that a press is old.
         subscribe(self._prefix + "joy", Joy, self._on_joy, on_error=self.give_up, queue_size=None)
         reports = partial(subscribe, on_error=self.give_up, queue_size=10)
         adapter = adapter_class(self._type)
@@ -333,7 +333,7 @@ class _Vehicle:
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)
 
     def give_up(self, error):
-        """Something failed. An autonomous vehicle must not fly on with it; in manual mode its operator decides."""
+        """Something failed: land an autonomous vehicle; in manual mode its operator decides."""
         self._counts["errors"] += 1
         now_s = time.monotonic()
         if self.pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
@@ -365,16 +365,16 @@ class _Vehicle:
         return self._node.nearest(self.name)
 
     def _tell(self):
-        """Tell what it does, and its charge, when that is due."""
+        """Publish its flight state and charge, when that is due."""
         told, now_s, state = self._told, time.monotonic(), self.pilot.flight_state
-        if state is None or not 0 <= state < 256:  # an error here lands it
+        if state is None or not 0 <= state < 256:  # out of range it would raise, and land the vehicle
             state = VehicleStatus.UNKNOWN
         if state != told.state or now_s - self._told_s >= _VEHICLE_STATUS_S:
             self._told_s, told.state, told.header.stamp = now_s, state, rospy.Time.now()
             self._vehicle_status.publish(told)
 
     def compare(self, full_scales, node):
-        """A controller or the vehicle's driver has these; with others than ours nobody is obeyed."""
+        """Compare full scales of a controller or the driver with ours; while they differ no controller is obeyed."""
         text = disagreement(self.name, vars(self._type), full_scales, node)
         if text:
             rospy.logerr("%s. No autonomous flight until both agree", text)
@@ -383,7 +383,7 @@ class _Vehicle:
             self._agree()
 
     def _agree(self):
-        """Whose full scales differ, of those that are still there. With the lock held."""
+        """Drop the disagreements of nodes that are gone, and tell the pilot the rest. With the lock held."""
         since_s, heard_s = time.monotonic() - _GONE_S, {**self._node.controllers_s, **self._drivers_s}
         self._disagreements = {n: text for n, text in self._disagreements.items() if text and heard_s[n] > since_s}
         self.pilot.disagreement = next(iter(self._disagreements.values()), "")
@@ -405,7 +405,7 @@ class _Vehicle:
 
     @_contained
     def on_markers(self, used, known):
-        """The estimator's pose of it rests on so many markers, of those of its template."""
+        """Number of markers that the estimator's pose of it is from, and of those in its template."""
         with self._lock:
             self.pilot.on_markers(used, known)
 
@@ -418,7 +418,7 @@ class _Vehicle:
 
     @_contained
     def on_controls(self, own, stamp, age_s):
-        """Its entry of /controls, with the stamp of the message; None: no command may follow."""
+        """Its entry of /controls, with the stamp of the message; stamp None: no command may be sent for it."""
         self._counts["controls"] += 1
         if stamp is None:
             with self._lock:
@@ -431,23 +431,23 @@ class _Vehicle:
 
     @_contained
     def on_tick(self):
-        """Twice for each command that the vehicle takes."""
+        """Called twice per command period of the vehicle, or more often."""
         if self._disagreements:
             with self._lock:
                 self._agree()
         self._act(lambda pilot, now_s: pilot.tick(now_s))
-        if not self._flies_itself and self.pilot.flight_state != self._told.state:  # which its node knows first
+        if not self._flies_itself and self.pilot.flight_state != self._told.state:  # this node knows it first
             if self.pilot.ladder.navdata_is_fresh(time.monotonic()):
                 self._tell()
 
     def last_orders(self):
-        """Level and land, once. Returns whether that was enough."""
+        """Order level and land, once. Returns whether no further landing order is needed."""
         with self._lock:
             self._carry_out(self.pilot.on_shutdown(time.monotonic()))
             return not self.pilot.needs_landing(time.monotonic())
 
     def _act(self, decide):
-        """Let the pilot decide at a time (decide: function of both), and do what it orders. Returns its Orders."""
+        """Let the pilot decide, and carry out its orders. decide: function of pilot and time. Returns its Orders."""
         with self._lock:  # also while it is published, so that an older command never overtakes a newer one
             orders = decide(self.pilot, time.monotonic())
             self._carry_out(orders)
@@ -461,7 +461,7 @@ class _Vehicle:
             self._link.take_off()
         if orders.land:
             self._link.land()
-        elif orders.disarm:  # a landing ends with that
+        elif orders.disarm:  # a landing includes it
             self._link.disarm()
         if orders.command is not None:
             command = orders.command
@@ -479,7 +479,7 @@ class _Vehicle:
             self._safety.publish(safety_message(orders.safety))
 
     def _report(self, orders):
-        """What may take its time: outside the lock."""
+        """Carry out orders that may be slow, outside the lock."""
         if orders.mode is not None:
             self._node.errands.put(partial(rospy.set_param, "/controller_status", orders.mode))
         if orders.simulator_reset is not None:
@@ -495,7 +495,7 @@ class _Vehicle:
             threading.Thread(target=end, daemon=True).start()
 
     def _begin_again(self):
-        """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
+        """Shut-down button of one of several vehicles: land, then continue like a node that has just started."""
         land([self])
         with self._lock:
             before, now_s = self.pilot, time.monotonic()
@@ -503,7 +503,7 @@ class _Vehicle:
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
-        """A task of diagnostic_updater; what other programs use of it goes out as a VehicleNodeStatus."""
+        """A task of diagnostic_updater; values that other programs use are published as a VehicleNodeStatus."""
         with self._lock:
             now_s, (_, rates) = time.monotonic(), self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
@@ -544,7 +544,7 @@ def safety_message(verdict):
 
 
 def _without_ladder(fleet, chosen):
-    """Say that nothing protects the vehicles. Raises ValueError unless all of the fleet is a virtual laboratory's.
+    """Log that nothing protects the vehicles. Raises ValueError unless all of the fleet is a virtual laboratory's.
 
     chosen: FleetVehicles that are flown.
     """
@@ -561,21 +561,19 @@ def _without_ladder(fleet, chosen):
 
 
 def _begins(who, heard_s):
-    """Whether somebody who is heard now is new, or was silent before. heard_s: {name: when}, which is brought up to
-    date.
-    """
+    """Whether a sender that is heard now is new, or was silent before. heard_s: {name: when it was heard}, updated."""
     now_s = time.monotonic()
     before_s, heard_s[who] = heard_s.get(who, -math.inf), now_s
     return now_s - before_s > SILENCE_S
 
 
 def _next_command_s(flown):
-    """When the first of [(_Vehicle, its control)] takes a command [s]; infinite when none does."""
+    """When the first of [(_Vehicle, its control)] is due for a command [s]; infinite when none is."""
     return min((vehicle.pilot.next_command_s for vehicle, _ in flown), default=math.inf)
 
 
 def _turns_s(periods_s):
-    """When a turn of each vehicle begins: a few together, which costs less than one after the other."""
+    """Start of a turn of each vehicle [s]: a few vehicles share one, which costs less than a turn each."""
     begin_s, count = time.monotonic(), len(periods_s)
     groups = min(_MOST_GROUPS, math.ceil(count / _VEHICLES_A_TURN))
     return [begin_s + period_s * (k * groups // count) / groups for k, period_s in enumerate(periods_s)]

@@ -22,13 +22,13 @@ from risc_msgs.msg import Cortex
 
 @dataclass(frozen=True)
 class TransformParams(Settings):
-    """Of the node."""
+    """Parameters of the node."""
 
     rate: Positive = 50.0  # [Hz]
 
 
 class VehicleTransforms:
-    """A vehicle that is not seen has no new transforms: its frames grow stale, they are never repeated as if true."""
+    """Sends the transforms. A vehicle that is not seen gets no new ones: its frames become stale, none is repeated."""
 
     def __init__(self, mounts):
         """mounts: {mocap template: CameraMount}."""
@@ -39,17 +39,17 @@ class VehicleTransforms:
         self._send_mounts()
 
     def move_camera(self, name, mount):
-        """The camera of a vehicle sits elsewhere from now on. name: mocap template. mount: CameraMount."""
+        """Change the camera mount of a vehicle. name: mocap template. mount: CameraMount."""
         self._mounts = dict(self._mounts, **{name: mount})
         self._send_mounts()
 
     def _send_mounts(self):
-        """All of them: who comes later is given the last message only."""
+        """Send all mounts: later subscribers get only the last message."""
         now = rospy.Time.now()
         self._static.sendTransform([_message(camera_transform(*item), now) for item in self._mounts.items()])
 
     def send(self, message):
-        """The frames of the vehicles that are visible in a Cortex message, with its stamp."""
+        """Send the frames of the vehicles that are visible in a Cortex message, with its stamp."""
         transforms = []
         for state in message.Obj:
             if state.visible and state.name not in self._attached:
@@ -60,7 +60,7 @@ class VehicleTransforms:
 
 
 def main(name):
-    """Run the node of the fleet's frames until ROS shuts down."""
+    """Run the node that sends the fleet's frames until ROS shuts down."""
 
     def make():
         (params,) = load_params(TransformParams, lenient=True)

@@ -1,13 +1,13 @@
-"""Types of vehicles, the side that flies: from a physical command to what a vehicle takes. Needs no ROS.
+"""Vehicle types, flight side: from a physical command to the inputs of a vehicle. Needs no ROS.
 
-A controller commands roll, pitch, yaw rate and thrust (`Command`), whatever it flies. What a type of vehicle makes of
-that, its `Adapter` knows and nobody else: the units of its entry on /controls, climb rates, sticks, calls to take off
-and to land, status, and what it can hold by itself. On the way
+A controller commands roll, pitch, yaw rate and thrust (`Command`) for any type. Only the type's `Adapter` knows the
+rest: the units of its entry on /controls, climb rates, sticks, calls to take off and to land, status, and what it can
+hold by itself. On the way
 
     controller -- Command --> ControlsConverter -- /controls --> vehicle node: VehiclePilot, Adapter -- Sticks --> link
 
-a command is converted twice: into the unit of /controls (a fraction of the full scale for an AR.Drone, nothing for a
-type that says nothing else), and there into what the vehicle takes.
+a command is converted twice: into the unit of /controls (a fraction of the full scale for an AR.Drone, unchanged by
+default), and in the vehicle node into the inputs of the vehicle.
 
 A type is one file here with a class `Adapter`, and risc_lab/config/vehicle_types/NAME.yaml with its numbers; those that
 no other type has are its `own`, see `Adapter.PARAMS`. From elsewhere: vehicle_types/NAME.py and .yaml, see
@@ -32,7 +32,7 @@ from risc_lab.settings import NoParams
 class Command(NamedTuple):
     """What a controller commands: numbers, or arrays (n,). NED senses, as in `risc_lab.states`."""
 
-    roll_rad: float  # + right wing down; that the vehicle reaches, the gain of its attitude loop included
+    roll_rad: float  # + right wing down; the angle that the vehicle reaches, the gain of its attitude loop included
     pitch_rad: float  # + nose up
     yaw_rate_rad_s: float  # + clockwise from above
     thrust_n: float
@@ -48,7 +48,7 @@ class Controls(NamedTuple):
 
 
 class FlightState(IntEnum):
-    """What a vehicle says that it does. The numbers are those of ardrone_autonomy's Navdata."""
+    """What a vehicle reports to be doing. The numbers are those of ardrone_autonomy's Navdata."""
 
     UNKNOWN = 0
     INIT = 1
@@ -60,38 +60,38 @@ class FlightState(IntEnum):
     GOTO = 7
     LANDING = 8
     LOOPING = 9
-    OTHER_MODE = 32  # not of Navdata: its pilot's, in which it takes no commands of ours
-    PILOT = 33  # nor this: it follows the sticks of its pilot's transmitter, not what we send
+    OTHER_MODE = 32  # not in Navdata: a mode chosen by its pilot, in which it ignores our commands
+    PILOT = 33  # not in Navdata: it follows the sticks of its pilot's transmitter, not what we send
 
 
 ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
-NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # of air or ground: an emergency in the air reads 0
+NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # air or ground: an emergency in the air reports 0
 TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 
 
 def state_text(state):
-    """A FlightState, or a number that only its type knows, in words."""
+    """Name of a FlightState; "not known" for numbers that only its type knows."""
     return FlightState(state).name.lower().replace("_", " ") if state in tuple(FlightState) else "not known"
 
 
 class Status(NamedTuple):
-    """What a vehicle says of itself."""
+    """A vehicle's report of itself."""
 
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
-    # by its own sensors, `VehicleType.report_delay_s` ago; None: this report has none
-    velocity_m_s: tuple | None = None  # level: forward, right
-    tilt_rad: tuple | None = None  # roll, pitch that it believes to have
-    height_m: float | None = None  # above anything that stays
+    # measured by its own sensors, `VehicleType.report_delay_s` ago; None: this report has none
+    velocity_m_s: tuple | None = None  # horizontal: forward, right
+    tilt_rad: tuple | None = None  # its own estimate of roll, pitch
+    height_m: float | None = None  # above any fixed level
     climb_m_s: float | None = None
 
 
 class Told(NamedTuple):
-    """What a topic of a type's driver tells who reads a recording."""
+    """How a topic of a type's driver is described to readers of a recording."""
 
     message: str  # name of its type, without the package
-    words: object  # function of a message: what it says
-    each: bool = False  # each is something that happened; else one that says something else than the one before
+    words: object  # function of a message that returns the text
+    each: bool = False  # True: each message is an event; False: only one with another text than the one before
 
 
 # How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.
@@ -102,48 +102,48 @@ class Adapter:
     """One vehicle of a type, as its vehicle node flies it.
 
     own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as
-    fractions of its full scales; the meaning of `up` is the type's. Of a type that does not fly itself nobody calls
-    `move` and `by_hand`, and of the others nobody `fly`.
+    fractions of its full scales; the meaning of `up` is the type's. `move` and `by_hand` are called only for types that
+    fly themselves, `fly` only for the others.
     """
 
     FLIES_ITSELF = True  # takes off, hovers and lands when told to; False: its vehicle node does all that, see `hover`
     PARAMS = NoParams  # dataclass of numbers that only this type has: `own` of its YAML file
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
-    REPORTS = "reports"  # what people call what it says of itself
-    LINK = "link"  # and what that comes by
-    COMMANDS = "commands"  # topic below its namespace on which it is sent its commands
+    REPORTS = "reports"  # what people call its reports
+    LINK = "link"  # what people call the link by which they come
+    COMMANDS = "commands"  # topic below its namespace for the commands to it
     TOLD = {}  # {topic below its namespace: Told}
-    NODES = {}  # {what it does: node of its driver}, which faults find by that: `driver` takes the commands
-    SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
-    NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
-    THRUST_MOST = math.inf  # of T on /controls, + and -
+    NODES = {}  # {role: node of its driver}, by which injected faults find it: `driver` takes the commands
+    SILENT_S = 0.0  # longest normal gap between its reports; the least that `SafetyLimits.navdata_timeout_s` counts as
+    NEEDS_BATTERY = False  # whether T on /controls depends on the charge, see `zero_thrust`
+    THRUST_MOST = math.inf  # greatest |T| on /controls
 
     def __init__(self, vehicle_type, command_rate_hz):
-        """vehicle_type: VehicleType.  command_rate_hz: at which the vehicle is sent commands."""
+        """vehicle_type: VehicleType.  command_rate_hz: rate of the commands to the vehicle."""
         self.type, self.numbers = vehicle_type, own_numbers(vehicle_type, self.PARAMS)
 
     @staticmethod
     def units(vehicle_type):
-        """The `Command` that 1 means on /controls, in phi, theta, psi and T."""
+        """The `Command` for which phi, theta, psi and T on /controls are 1."""
         return Command(1.0, 1.0, 1.0, 1.0)
 
     @staticmethod
     def zero_thrust(vehicle_type, battery_pct):
-        """What a thrust of 0 N is in T on /controls, at this charge; None: nobody knows it."""
+        """T on /controls for a thrust of 0 N, at this charge; None: the charge is unknown."""
         return 0.0
 
     @staticmethod
     def swing_s(vehicle_type):
-        """[s] in which its command changes by an acceleration of g, level or upwards; 0: at once."""
+        """Time [s] that its command takes to change by an acceleration of g, horizontal or upward; 0: at once."""
         return 0.0
 
     @staticmethod
     def climb_loop(vehicle_type):
-        """(gain, damping, most) of a CLIMB_LOOP: what controllers count on."""
+        """(gain, damping, most) of the CLIMB_LOOP that controllers assume."""
         raise NotImplementedError
 
     def answer(self, controls, own, own_s, now_s, sent):
-        """Sticks for the vehicle's `Controls`. own_s: when the state held [s].  sent: HISTORY of what it was sent."""
+        """Sticks for the vehicle's `Controls`. own_s: time of the state [s].  sent: HISTORY of what it was sent."""
         raise NotImplementedError
 
     def move(self, forward_rad, left_rad, climb_m_s, own):
@@ -151,11 +151,11 @@ class Adapter:
         raise NotImplementedError
 
     def by_hand(self, sticks, own):
-        """Sticks for those of an operator; its `up` is a climb rate."""
+        """Sticks to send for those of an operator, whose `up` is a climb rate."""
         return sticks
 
     def sendable(self, sticks, now_s):
-        """Sticks, as near to these as the vehicle follows at once from those that it was sent last. Called for each
+        """The sticks, limited to the change from the last ones that the vehicle follows at once. Called for each
         message.
         """
         return sticks
@@ -174,8 +174,8 @@ class Adapter:
 
     @classmethod
     def watch(cls, prefix, on_status, subscribe):
-        """The same for others than its vehicle node, who want to know whether it hovers: of a type that does not fly
-        itself, only that node knows.
+        """As `listen`, for programs other than its vehicle node that need to know whether it hovers: of a type that
+        does not fly itself, only that node knows.
         """
         if cls.FLIES_ITSELF:
             cls.listen(prefix, on_status, subscribe)
@@ -192,8 +192,8 @@ class Adapter:
     def connect(prefix, name, on_refusal):
         """Link to the vehicle by ROS, e.g. `ardrone.Link`.
 
-        prefix: of its topics, with the last "/".  name: its own.  on_refusal: takes why it does not take off, of one
-        that can say so.
+        prefix: of its topics, with the last "/".  name: of the vehicle.  on_refusal: called with the reason why it does
+        not take off, by types that report it.
         """
         raise NotImplementedError
 
@@ -204,14 +204,14 @@ class Adapter:
 
     @staticmethod
     def listen_to_wire(prefix, on_wire, subscribe):
-        """Call on_wire() for each report of what stands between us and the vehicle that commands go through."""
+        """Call on_wire() for each report of the transmitter that it passes our commands on to the vehicle."""
         raise NotImplementedError
 
     def tell_battery(self, battery_pct, now_s):
-        """The vehicle has told its charge."""
+        """The vehicle has reported its charge."""
 
     def fly(self, command):
-        """Sticks for a `Command`; None: those of a vehicle that stands, and on which it drops."""
+        """Sticks for a `Command`; None: those for a vehicle that stands, which let one in the air drop."""
         raise NotImplementedError
 
 
@@ -232,7 +232,7 @@ def told_topics():
 
 
 def driver_nodes():
-    """{what it does: its nodes} of all types: `Adapter.NODES`."""
+    """{role: nodes of drivers} of all types, see `Adapter.NODES`."""
     nodes = {}
     for name in REGISTRY.names():
         for role, node in REGISTRY.module(name).Adapter.NODES.items():
@@ -262,7 +262,7 @@ def greatest_command(vehicle_type):
     )
 
 
-# The arrays that compiled code was compiled for, so that nothing is compiled in flight.
+# Converts to the arrays that the code is compiled for, so that nothing is compiled in flight.
 floats = partial(np.ascontiguousarray, dtype=float)
 
 
@@ -270,7 +270,7 @@ _CHARGE_S = 3.0  # time constant
 
 
 class Charge:
-    """A battery's charge, smooth between the whole percents that are reported: each is a step of the throttle."""
+    """A battery's charge, smoothed: each whole percent that is reported would be a step of the throttle."""
 
     def __init__(self):
         self.pct = None  # None before the first report
@@ -303,10 +303,10 @@ class ControlsConverter:
             conversion.greatest_thrust = adapter.THRUST_MOST
         n = len(self._types)
         nobody = np.zeros(n, dtype=bool)
-        self(Command(*np.zeros((4, n))), nobody, nobody)  # loads what is compiled
+        self(Command(*np.zeros((4, n))), nobody, nobody)  # loads the compiled code
 
     def tell_battery(self, i, battery_pct, now_s):
-        """The charge [%] that vehicle i has told; NaN: it has told none."""
+        """Take the charge [%] that vehicle i has reported; NaN: it has reported none."""
         if math.isfinite(battery_pct):
             charge = self._charges[i]
             charge.note(battery_pct, now_s)
@@ -316,7 +316,7 @@ class ControlsConverter:
         """(`Controls` of arrays (n,), (n,) bool: a limit of the vehicle cut its command, or `saturated` said so).
 
         known: (n,) bool; where it is False the answer is level with the thrust of hover (zero acceleration, thesis
-        7.7).  A vehicle that is known and whose command is not finite gets NaN: no vehicle may be sent that.
+        7.7).  A vehicle that is known and whose command is not finite gets NaN, which must not be sent.
         """
         roll, pitch, yaw_rate, thrust = map(floats, command)
         controls, cut = np.empty((4, len(known))), np.array(saturated)
@@ -349,7 +349,7 @@ def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, 
 
 @compiled
 def clipped(value, most):
-    """Value within +-most; what is not a number stays so."""
+    """Value limited to +-most; NaN stays NaN."""
     if value > most:
         return most
     return -most if value < -most else value
@@ -365,5 +365,5 @@ def climb_command(up_m_s2, climb_m_s, loop):
 
 @compiled
 def climb_acceleration(command, climb_m_s, loop):
-    """Its inverse: upward acceleration [m/s^2]."""
+    """Upward acceleration [m/s^2] for a command: the inverse of `climb_command`."""
     return loop.gain * command - loop.damping_1_s * climb_m_s

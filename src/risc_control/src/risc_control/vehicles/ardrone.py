@@ -1,11 +1,11 @@
-"""Parrot AR.Drone (thesis 5.1): angles become fractions of full scales, thrust a climb rate; ardrone_autonomy's topics.
+"""Parrot AR.Drone (thesis 5.1): angles become fractions of full scales, thrust a climb rate; ardrone_autonomy topics.
 
 Signs of /controls and cmd_vel, as in the original release: + phi moves left, + theta moves forward, + psi turns left.
 All three are opposite to the angles phi, theta, psi of the states (+ right, + nose up, + clockwise).
 
-A fraction of 1 asks the vehicle for its full scale (`euler_angle_max`, `control_yaw`). Its attitude loops settle at
-`gain` times what they are asked for (1.17 in roll, 1.11 in pitch), so the wanted angle is divided by the gain here,
-where an angle becomes a fraction, and nowhere else.
+A fraction of 1 commands the full scale of the vehicle (`euler_angle_max`, `control_yaw`). Its attitude loops settle at
+`gain` times the command (1.17 in roll, 1.11 in pitch), so the wanted angle is divided by the gain here, where an angle
+becomes a fraction, and nowhere else.
 """
 
 import math
@@ -104,7 +104,7 @@ def climb_ahead(climb_m_s, measured_s, until_s, sent, delay_s, tau_s):
 def status(navdata):
     """Status of a Navdata; a packet without the vehicle's main block is published as state 0 with battery 0."""
     battery_pct = navdata.batteryPercent if navdata.state != FlightState.UNKNOWN else None
-    level_m_s = (1e-3 * navdata.vx, -1e-3 * navdata.vy) if navdata.vx or navdata.vy else None  # 0, 0: it has not looked
+    level_m_s = (1e-3 * navdata.vx, -1e-3 * navdata.vy) if navdata.vx or navdata.vy else None  # 0, 0: not measured
     return Status(navdata.state, battery_pct, level_m_s)
 
 
@@ -121,11 +121,11 @@ class Link:
 
         self._twist = Twist()  # filled again and again
         self._cmd_vel = publisher("cmd_vel", Twist)
-        # each called as it is
+        # called directly
         self.take_off = publisher("ardrone/takeoff", Empty).publish
         self.land = publisher("ardrone/land", Empty).publish
         self.reset = publisher("ardrone/reset", Empty).publish  # motors off in the air
-        self.topic = self._cmd_vel.resolved_name  # that commands go out on
+        self.topic = self._cmd_vel.resolved_name  # of the commands
 
     def send(self, sticks, level_only=False):
         """cmd_vel. level_only: the driver must not start the vehicle's own position hold."""
@@ -135,7 +135,7 @@ class Link:
         self._cmd_vel.publish(twist)
 
     def driver_overrides(self, driver):
-        """{field of VehicleType: value} that the driver's node has set on the vehicle, as far as it says so."""
+        """{field of VehicleType: value} that the driver's node has set on the vehicle, by its parameters."""
         import rospy
 
         from risc_lab.lab.vehicle_types import legacy_overrides

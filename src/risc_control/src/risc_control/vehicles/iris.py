@@ -1,8 +1,8 @@
 """3DR IRIS+ (thesis 5.2): sticks of a radio, a throttle whose middle moves with the battery (eq. 5.5).
 
 Entries of /controls are stick fractions, with the signs of the angles of the states: + phi moves right, + theta noses
-up, + psi turns right; T is the throttle, -1 the lowest. An autopilot in STABILIZE makes an angle of the first two, a
-yaw rate of the third, and passes the throttle on: it holds neither height nor place.
+up, + psi turns right; T is the throttle, -1 the lowest. An autopilot in STABILIZE takes the first two as angles, the
+third as a yaw rate, and passes the throttle on: it holds neither height nor position.
 """
 
 import contextlib
@@ -29,22 +29,22 @@ from risc_lab.ros.sender import sender
 MODE = "STABILIZE"  # in which it takes our commands
 ANSWER_S = 4.0  # a service of its driver that has not answered by then is not waited for; arming takes up to 3 s
 _MOST_UNANSWERED = 4
-NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
+NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has reported none
 STICKS = 4  # channels that fly it, the first ones of the radio
-OTHER_US = 60  # what is received differs by more from what is sent: it is another hand's,
-SAME_US = 30  # until it differs by less
-REPORTS = 8  # of what is received, that are looked at together
-_DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sends to what the autopilot says of it,
-_SPREAD_S = 0.25  # and more, from one to the next
-_BURST_S, _GAP_S = 0.01, 1.0  # between reports: those that were held up, and those before a gap, say nothing of now
+OTHER_US = 60  # received pulses differ by more from those sent: they are not ours,
+SAME_US = 30  # until they differ by less
+REPORTS = 8  # of received pulses that are judged together
+_DELAYS_S = [0.1 * k for k in range(10)]  # candidate delays from the board's report to the autopilot's,
+_SPREAD_S = 0.25  # and their additional variation from one report to the next
+_BURST_S, _GAP_S = 0.01, 1.0  # between reports: those that were delayed, and those before a gap, do not count
 
-_CLIMB_SHARE = 1.5  # of the type's greatest climb rate: what a controller gets; courses ask for less than that rate
-_FORGETS_S = 0.4  # without commands the board goes to others, or may
+_CLIMB_SHARE = 1.5  # of the type's greatest climb rate: limit for a controller; courses need less than that rate
+_FORGETS_S = 0.4  # without commands for this long the board may have changed to other ones
 _BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle", 2: "follows commands", 3: "failsafe"}
 
 
 class Adapter(vehicles.Adapter):
-    """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
+    """See `vehicles.Adapter`. Sticks are those of the radio: they include the autopilot's dead zone; `up` is T."""
 
     PARAMS = RadioSticks
     FLIES_ITSELF = False
@@ -54,7 +54,7 @@ class Adapter(vehicles.Adapter):
         "apm/state": Told("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
         "ppm_status": Told("PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")),
     }
-    SILENT_S = 2.5  # a heartbeat a second tells what it does
+    SILENT_S = 2.5  # its state comes with a heartbeat once a second
     MODE_CURE = "set it to %s" % MODE
     NEEDS_BATTERY = True
     THRUST_MOST = 1.0
@@ -81,7 +81,7 @@ class Adapter(vehicles.Adapter):
 
     @staticmethod
     def climb_loop(vehicle_type):
-        """What it takes is the throttle over that of hover: 1 is an acceleration of g."""
+        """Its command is the throttle above that of hover: 1 is an acceleration of g."""
         hovers = [hover_throttle(vehicle_type, pct) for pct in range(101)]
         most = min(1.0 - max(hovers), 1.0 + min(hovers))
         return GRAVITY_M_S2, vehicle_type.drag_n_s_m / vehicle_type.mass_kg, most
@@ -96,13 +96,13 @@ class Adapter(vehicles.Adapter):
 
     def fly(self, command):
         if command is None:
-            self._newest_s = -math.inf  # at once: nobody predicts what it does without thrust
+            self._newest_s = -math.inf  # at once, without the rate limit: nothing predicts its motion without thrust
             return Sticks(0.0, 0.0, -1.0, 0.0)
         phi, theta, psi, weights = (part / one for part, one in zip(command, self._unit))
         return self._sticks(phi, theta, psi, self._hover + weights - 1.0 + self.trim_m_s2 / GRAVITY_M_S2)
 
     def sendable(self, sticks, now_s):
-        """The board of the transmitter would let no more through, but later than its commands are believed to act."""
+        """The board of the transmitter has the same limit, but would delay commands beyond their predicted time."""
         since_s = now_s - self._newest_s
         if since_s < _FORGETS_S:
             most = min(self.numbers.stick_rate_1_s * since_s, self.numbers.stick_step)
@@ -111,9 +111,7 @@ class Adapter(vehicles.Adapter):
         return sticks
 
     def _within_climb(self, throttle, own):
-        """As much of a throttle as leads to no climb rate that a stop before net or floor could not take away: nothing
-        on board limits it.
-        """
+        """The throttle, limited so that the vehicle can stop before net or floor: nothing on board limits its climb."""
         if own is None:
             return throttle
         most_m_s, cosine = _CLIMB_SHARE * self.type.climb_max_m_s, max(0.5, _cosine(own))
@@ -159,18 +157,18 @@ class Adapter(vehicles.Adapter):
 
 
 def hover_throttle(vehicle_type, battery_pct):
-    """Throttle that hovers at a charge, eq. 5.5 with the c4 of the original release; None: of an average battery."""
+    """Hover throttle at a charge, eq. 5.5 with the c4 of the original release; None: for an average battery."""
     pct = NOMINAL_BATTERY_PCT if battery_pct is None else min(max(battery_pct, 0.0), 100.0)
     return own_numbers(vehicle_type, RadioSticks).hovers_at(pct)
 
 
 def with_dead_zone(fraction, dead):
-    """The stick that an autopilot takes for this fraction of full scale: what is within +-dead counts as 0."""
+    """The stick for which an autopilot takes this fraction of full scale: sticks within +-dead count as 0."""
     return math.copysign(dead + (1.0 - dead) * abs(fraction), fraction) if fraction else 0.0
 
 
 def without_dead_zone(stick, dead):
-    """Its inverse: what the autopilot makes of a stick."""
+    """Inverse of `with_dead_zone`: the fraction that the autopilot takes for a stick."""
     return math.copysign(max(0.0, abs(stick) - dead) / (1.0 - dead), stick)
 
 
@@ -179,26 +177,26 @@ def _cosine(own):
 
 
 class TrainerSwitch:
-    """Whether the autopilot receives what the board of the transmitter sends, or its pilot has let go of the trainer
-    switch and flies by the sticks. What the two do alike is not told apart.
+    """Detects whether the autopilot receives what the board of the transmitter sends, or its pilot has released the
+    trainer switch and flies by the sticks. It cannot tell while both send the same.
 
-    It begins to count once both have agreed: pulses that a transmitter changes cannot be compared.
+    It is active once both have agreed: pulses that a transmitter modifies cannot be compared.
     """
 
     def __init__(self):
         self.is_off = False
         self._has_agreed = False
-        self._sent = deque()  # (time [s], channels [us]) of as long as they may matter
-        self._fits = deque(maxlen=REPORTS)  # of each that was received: for each delay, whether it was sent then
-        self._received_s = -math.inf  # the newest
+        self._sent = deque()  # (time [s], channels [us]), for as long as they may be needed
+        self._fits = deque(maxlen=REPORTS)  # of each report received: for each delay, whether it was sent then
+        self._received_s = -math.inf  # time of the newest report
 
     def send(self, channels_us, now_s):
-        """The board says that it sends these."""
+        """The board reports that it sends these."""
         self._sent.append((now_s, tuple(channels_us[:STICKS])))
         self._forget(now_s)
 
     def receive(self, channels_us, now_s):
-        """The autopilot says that it receives these. Returns whether `is_off` has changed."""
+        """The autopilot reports that it receives these. Returns whether `is_off` has changed."""
         self._forget(now_s)
         received_us, most_us = channels_us[:STICKS], SAME_US if self.is_off else OTHER_US
         since_s, self._received_s = now_s - self._received_s, now_s
@@ -226,7 +224,7 @@ class TrainerSwitch:
 
 
 class _Reports:
-    """What the autopilot reports by MAVLink (roscopter's topics), and the board of the transmitter of what it sends."""
+    """Reports of the autopilot by MAVLink (roscopter's topics), and of the transmitter's board on what it sends."""
 
     def __init__(self, prefix, on_status, subscribe):
         from risc_maap_msgs.msg import PpmStatus  # the rest needs no ROS, but for Link
@@ -269,7 +267,7 @@ class _Reports:
         self._tell_sensed(message, height_m=message.alt, climb_m_s=message.climb)
 
     def _tell_sensed(self, message, **sensed):
-        """What its sensors say; what it does others say."""
+        """Pass on measurements of its sensors; the flight state comes with other reports."""
         self._on_status(Status(FlightState.UNKNOWN, None, **sensed), sender(message))
 
     def _tell(self, message, battery_pct=None):
@@ -296,14 +294,14 @@ class Link:
         self._controls = rospy.Publisher(prefix + "controls", Controls, queue_size=1, tcp_nodelay=True)
         self._stop = rospy.Publisher(prefix + "apm/emergency_stop", Empty, queue_size=1, tcp_nodelay=True)
         self._command = rospy.ServiceProxy(prefix + "apm/command", APMCommand)
-        self._arm = rospy.ServiceProxy(prefix + "apm/arm", Order)  # which says why not
+        self._arm = rospy.ServiceProxy(prefix + "apm/arm", Order)  # its error gives the reason of a refusal
         self._call = Calls(ANSWER_S)
-        self._wanted = queue.Queue(1)  # of functions: the services wait for the vehicle, and nobody else may
+        self._wanted = queue.Queue(1)  # of functions: services wait for the vehicle, so only their thread may
         threading.Thread(target=self._work, daemon=True).start()
-        self.topic = self._controls.resolved_name  # that commands go out on
+        self.topic = self._controls.resolved_name  # of the commands
 
     def send(self, sticks, level_only=False):
-        """The fractions of the sticks."""
+        """Publish the fractions of the sticks."""
         message, (control,) = self._message, self._message.Obj
         message.header.stamp = self._rospy.Time.now()
         control.phi, control.theta, control.psi, control.T = -sticks.left, -sticks.forward, -sticks.turn_left, sticks.up
@@ -314,24 +312,24 @@ class Link:
         self._want(self._stabilize_and_arm)
 
     def land(self):
-        """By itself."""
+        """Let it land by itself."""
         self._want(partial(self._do, self._request.CMD_SET_LAND))
 
     def disarm(self):
-        """As far as it lets itself be disarmed."""
+        """Disarm it, if it accepts that."""
         self._want(partial(self._do, self._request.CMD_DISARM))
 
     def reset(self):
         """Motors off, also in the air."""
         self._stop.publish()
-        self._want(lambda: None)  # what waits, e.g. to arm it, must not follow
+        self._want(lambda: None)  # waiting orders, e.g. to arm it, must not follow
 
     def driver_overrides(self, driver):
         """{field of VehicleType: value}: the driver sets none."""
         return {}
 
     def _want(self, order):
-        """This next; what waits already is older and counts no more."""
+        """Queue an order; it replaces an older one that is still waiting."""
         with contextlib.suppress(queue.Empty):
             self._wanted.get_nowait()
         with contextlib.suppress(queue.Full):
@@ -341,7 +339,7 @@ class Link:
         while True:
             try:
                 self._wanted.get()()
-            except Exception as error:  # whatever it is, the next order must come
+            except Exception as error:  # after any error the next order must still be carried out
                 text = "%s: %s: is its driver (roscopter) there?"
                 self._rospy.logwarn_throttle(2.0, text % (self._command.resolved_name, error))
 
@@ -363,14 +361,14 @@ class Link:
 
 
 class Calls:
-    """Calls of functions that may never come back."""
+    """Calls of functions that may never return."""
 
     def __init__(self, limit_s):
         self._limit_s, self._free = limit_s, threading.Semaphore(_MOST_UNANSWERED)
 
     def __call__(self, function, *arguments):
-        """What it returns or raises. Raises TimeoutError when it does neither in time, and leaves it alone; or when
-        too many have not come back.
+        """Return or raise what the function does. Raises TimeoutError when it does neither in time (it is left
+        running), or when too many calls have not returned.
         """
         if not self._free.acquire(blocking=False):
             raise TimeoutError("%d calls before it have not been answered" % _MOST_UNANSWERED)

@@ -1,5 +1,5 @@
-"""A controller that reads six derivatives of its reference: `differential_flatness`, which may tell the last two, and
-the variance of x.
+"""A controller that reads six derivatives of its reference: `differential_flatness`, which may report the last two, and
+the variance of x, by its commands.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ TOLD = 0.1  # rad of roll and pitch for a derivative of 1
 
 @dataclass(frozen=True)
 class Params(differential_flatness.Params):
-    """Of the controller, and of the test."""
+    """Parameters of the controller, and of the test."""
 
-    # 1: to fly; 2: to tell, roll is the fifth derivative of x ahead, pitch the sixth, and yaw rate [rad/s] the variance
+    # 1: fly; 2: report: roll is the fifth derivative of x ahead, pitch the sixth, and yaw rate [rad/s] the variance
     # of x [m^2], 0 where there is none
     purpose: float = 1.0
 
