@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The delay compensation: risc_control.ros.compensator_node, where the controllers' predictor is, by its old name."""
+"""The delay compensation under its old name: risc_control.ros.compensator_node, beside the controllers' predictor."""
 
 import runpy
 

@@ -45,7 +45,7 @@ class AngleEstimationNode:
         self._answer(msg.header, msg.Obj, False)
 
     def _answer(self, header, entries, exact):
-        """entries: of Detections or Risc_rois, one a vehicle."""
+        """entries: Detections or Risc_rois, one per vehicle."""
         with self._lock:
             stamp_ns = header.stamp.to_nsec()
             taken = [entry for entry in entries if self._source.take(entry.name, stamp_ns, exact)]

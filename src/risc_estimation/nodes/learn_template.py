@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Records an object that rests, by /mocap_data, and writes its template; see risc_estimation.template_geometry.
+"""Record an object at rest from /mocap_data and write its template; see risc_estimation.template_geometry.
 
     rosrun risc_estimation learn_template.py Condor --out condor.yaml
 
-The host of motion capture must know the object by this name: its list of markers is what is learnt, in its order.
+The motion capture host must know the object by this name. The template gets the host's markers, in the host's order.
 """
 
 import argparse
@@ -23,11 +23,11 @@ from risc_lab.ros.guard import subscribe
 from risc_lab.ros.params import known_fleet
 from risc_lab.ros.publisher_updates import init_node
 
-_PATIENCE_S = 10.0  # beside the time that is recorded
+_PATIENCE_S = 10.0  # in addition to the recording time
 
 
 class Recording:
-    """Frames of one object until they span some seconds."""
+    """Records the frames of one object until they span some seconds."""
 
     def __init__(self, name, seconds):
         self._name, self._seconds = name, seconds
@@ -54,7 +54,7 @@ class Recording:
             self.over.set()
 
     def samples_m(self):
-        """(frames, n, 3) [m], once it is over. Raises ValueError."""
+        """(frames, n, 3) [m], once the recording is over. Raises ValueError."""
         counts = sorted({len(sample) for sample in self._samples_m})
         if len(counts) > 1:
             text = "the number of markers of '%s' changes (%s): learn it with one body of that name"
@@ -63,7 +63,7 @@ class Recording:
 
 
 def record(name, seconds):
-    """(frames, n, 3) [m] of an object. Raises ValueError when it is not shown for so long."""
+    """(frames, n, 3) [m] of an object. Raises ValueError when it is not seen for long enough."""
     recording = Recording(name, seconds)
     subscribe("/mocap_data", MocapArrays, recording.on_frame, queue_size=1000)
     deadline_s = time.monotonic() + seconds + _PATIENCE_S
@@ -74,7 +74,7 @@ def record(name, seconds):
 
 
 def doubts(name, marker_names, markers_m, templates, limit_m):
-    """What may be mistaken, in sentences."""
+    """Sentences on markers or templates that may be confused."""
 
     def swapped(match, names):
         pairs = ["%s on %s" % (names[i], names[k]) for i, k in enumerate(match.places) if i != k]
@@ -97,7 +97,7 @@ def doubts(name, marker_names, markers_m, templates, limit_m):
 
 
 def learn(args):
-    """The template's text. Says on stderr what was measured. Raises ValueError."""
+    """Return the template's text; print what was measured to stderr. Raises ValueError."""
     templates = load_templates(fleet=known_fleet())
     like = templates.get(args.like) if args.like else None
     if args.like and like is None:
@@ -128,7 +128,7 @@ def learn(args):
 
 
 def say(text):
-    """To people: the template itself may go to stdout."""
+    """Print to stderr: the template itself may go to stdout."""
     print(text, file=sys.stderr)
 
 

@@ -2,9 +2,9 @@
 """mocap_poses (BodyPoses) -> cortex_ekf (Cortex), cortex_ekf_status (BodyStatuses): the extended Kalman filter as a
 node of its own, for the whole fleet, beside the states of cortex_raw.
 
-In, too: what vehicles measure on board, and what they were sent. While somebody listens: ekf_acc (PointStamped, the
-acceleration by the model, cortex axes) and position_cov (TwistStamped, position and its variances) of the first
-vehicle, and the same of each vehicle in its namespace.
+Also subscribes to on-board measurements and commands that were sent. With subscribers it also publishes ekf_acc
+(PointStamped, the acceleration by the model, cortex axes) and position_cov (TwistStamped, position and its variances)
+of the first vehicle, and the same for each vehicle in its namespace.
 """
 
 import math
@@ -24,7 +24,7 @@ from risc_lab.ros.node import run
 from risc_lab.ros.params import known_fleet, load_params, told_vehicle_type
 
 _FILTER = "ekf"
-# Of the original: inertia and gains of the one airframe that it knew.
+# Parameters of the original: inertia and gains of its only airframe.
 _LOOPS = ("Ixx", "Iyy", "Izz", "roll_kp", "roll_ki", "roll_kd", "pitch_kp", "pitch_ki", "pitch_kd", "yaw_kp", "yaw_kg")
 _SOONER = 0.999  # of a period: stamps have jitter
 
@@ -77,7 +77,7 @@ class EkfNode(EstimatorNode):
                 self._tell_more(header, estimate)
 
     def _tell_more(self, header, estimate):
-        """Accelerations and covariances of the visible vehicles, to whom somebody listens."""
+        """Publish accelerations and covariances of the visible vehicles, where there are subscribers."""
         for publishers, known, to_msg in (
             (self._accelerations, self.estimator.accelerations, acceleration_to_msg),
             (self._covariances, self.estimator.covariances, position_cov_to_msg),
@@ -85,7 +85,7 @@ class EkfNode(EstimatorNode):
             heard = [(name, publisher) for name, publisher in publishers if publisher.get_num_connections()]
             values = known() if heard else None
             if values is None or not estimate.names:
-                continue  # nobody listens, the filter does not know, or there is nobody
+                continue  # no subscribers, no values from the filter, or no bodies
             rows = {name: row for row, name in enumerate(estimate.names) if estimate.visible[row]}
             for name, publisher in heard:
                 row = rows.get(name or estimate.names[0])

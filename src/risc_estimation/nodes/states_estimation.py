@@ -2,8 +2,8 @@
 """mocap_data (Mocap_data), mocap_unidentified (UnidentifiedMarkers) -> cortex_raw (Cortex), states3 (Landmarks),
 cortex_raw_status (BodyStatuses).
 
-While somebody listens: mocap_poses (BodyPoses), state_covariances (StateCovariances, of a filter that has them). If the
-filter wants it: what vehicles measure on board and what they were sent. See risc_estimation.state_estimator.
+With subscribers also mocap_poses (BodyPoses) and state_covariances (StateCovariances, if the filter has them). If the
+filter wants them, subscribes to on-board measurements and commands that were sent. See risc_estimation.state_estimator.
 """
 
 import rospy
@@ -23,8 +23,8 @@ from risc_lab.ros.node import run
 from risc_lab.ros.params import known_arena, known_fleet, load_params
 from risc_maap_msgs.msg import Counter, EstimatorStatus, MarkerCount, StateCovariances, UnidentifiedMarkers
 
-_LOOSE_MOST = 128  # frames whose markers without a label are kept: more than can wait
-_MATE_S = 0.001  # a frame waits so long for its markers without a label, which come on a connection of their own
+_LOOSE_MOST = 128  # frames whose unlabelled markers are kept: more than can wait
+_MATE_S = 0.001  # how long a frame waits for its unlabelled markers, which come on another connection
 
 
 class StatesEstimationNode(EstimatorNode):
@@ -62,7 +62,7 @@ class StatesEstimationNode(EstimatorNode):
             self.lock.notify_all()
 
     def _loose_of(self, stamp):
-        """(u, 3) markers without a label of the frame with this stamp [m], as far as they have come."""
+        """(u, 3) unlabelled markers of the frame with this stamp [m], as far as they have come."""
         stamp_ns, newest_ns = stamp.to_nsec(), next(reversed(self._loose), -1)
         lately = 0 < stamp_ns - newest_ns < 2e9 * self.period_s  # the frame before had some
         if lately and self.estimator.misses_a_body:

@@ -53,7 +53,7 @@ class SyntheticAnglesNode:
         return calibration and Observer(make_camera(calibration, False), load_mount(vehicle.camera_mount))
 
     def _on_landmarks(self, msg):
-        # states3 says where a disc is, not where it looks: it is taken to face whoever looks at it
+        # states3 has the position of a disc, not its orientation: it is assumed to face every camera
         discs = [
             self._catalogue.disc(self._region.get(entry.name, entry.name), (entry.x, entry.y, entry.z))
             for entry in msg.Obj
@@ -75,7 +75,7 @@ class SyntheticAnglesNode:
             self._pub.publish(observed_angles(header, named))
 
     def _called(self, template):
-        """What vision calls a vehicle: its namespace."""
+        """Name of a vehicle in vision messages: its namespace."""
         return self._namespace.get(template, template)
 
     def _diagnose(self, status):

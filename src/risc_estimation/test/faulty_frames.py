@@ -1,4 +1,4 @@
-"""A seeded flight of four vehicles under motion capture that is false now and then, and what estimators make of it."""
+"""A seeded flight of four vehicles with occasional motion-capture faults, and how estimators cope with them."""
 
 import functools
 from dataclasses import dataclass, field
@@ -17,13 +17,13 @@ TEMPLATES = load_templates()
 DT_S, NOISE_M = 0.005, 0.002
 NAMES = "fluffy_II", "Raven", "albatross", "IRIS"
 _CENTRES_M = np.array([[-1.2, -1.0, 1.0], [1.2, -1.0, 1.2], [-1.2, 1.0, 1.4], [1.2, 1.0, 1.0]])
-OFF = {"memory_s": 0.0, "false_reject_probability": 0.0}  # the control arm: neither gates nor what mends
+OFF = {"memory_s": 0.0, "false_reject_probability": 0.0}  # the control arm: no gates and no corrections
 WRONG_M, WRONG_TILT_RAD, WRONG_YAW_RAD = 0.03, np.radians(5.0), np.radians(10.0)
 
 
 class Truth:
-    """Vehicles on eights, tilting and turning, frame by frame: at a pace of 1 with up to 1 m/s^2, so that a filter that
-    does not know their commands may go on for 0.2 s.
+    """Vehicles on figure eights, tilting and turning, frame by frame. At pace 1 accelerations reach 1 m/s^2, so that a
+    filter that does not know their commands can predict for 0.2 s.
     """
 
     def __init__(self, seed, pace=1.0, frames=1000, dt_s=DT_S):
@@ -51,7 +51,7 @@ class Truth:
         return dict(zip(NAMES, np.split(markers_m, ends[:-1])))
 
     def are_wrong(self, k, states):
-        """(vehicles,) bool: whose state, of (vehicles, 12), is off the truth of frame k by more than what counts."""
+        """(vehicles,) bool: whether the states (vehicles, 12) are off the truth of frame k by more than WRONG_*."""
         R = rotation_body_to_cortex(*states[:, S.PHI : S.P].T)
         upright = np.einsum("ni,ni->n", R[:, :, 2], self.rotations[k, :, :, 2])
         yaw_rad = (states[:, S.PSI] - self.angles_rad[k, :, 2] + np.pi) % (2.0 * np.pi) - np.pi
@@ -62,11 +62,11 @@ class Truth:
 truth_of = functools.cache(Truth)
 
 
-# --- faults: (bodies, name, place of it [m], rng, what the event keeps) change bodies, return markers without a label
+# --- faults: f(bodies, name, place_m, rng, kept) change bodies, return unlabelled markers; kept: the event's draws
 
 
 def _kept(kept, make):
-    """What an event draws once."""
+    """Value that an event draws once and keeps."""
     if not kept:
         kept.append(make())
     return kept[0]
@@ -83,7 +83,7 @@ def displaced(bodies, name, place_m, rng, kept):
 
 
 def ghost(bodies, name, place_m, rng, kept):
-    """The label goes to a reflection; the marker is there without one."""
+    """The label goes to a reflection; the marker itself has no label."""
     marker, by_m = _kept(kept, lambda: (rng.integers(len(bodies[name])), rng.uniform(0.1, 0.5) * _direction(rng)))
     loose = bodies[name][marker : marker + 1].copy()
     bodies[name][marker] += by_m
@@ -96,7 +96,7 @@ def swap(bodies, name, place_m, rng, kept):
 
 
 def swap_of_those_in_view(bodies, name, place_m, rng, kept):
-    """Two labels are exchanged while so many markers are hidden that three are left."""
+    """Two labels are exchanged while only three markers are in view."""
     order = _kept(kept, lambda: rng.permutation(len(bodies[name])))
     bodies[name][order[3:]] = np.nan
     bodies[name][order[:2]] = bodies[name][order[1::-1]]
@@ -132,13 +132,13 @@ def not_a_number(bodies, name, place_m, rng, kept):
 
 @dataclass
 class Judged:
-    """What came of a flight."""
+    """Result of a flight."""
 
     false_frames: int = 0  # frames in which motion capture was false
     wrong: int = 0  # of them, those in which a state was visible and wrong
-    wrong_after: int = 0  # good frames in which one was
+    wrong_after: int = 0  # good frames in which a state was visible and wrong
     blind: int = 0  # false frames in which the vehicle was not visible
-    settled_s: list = field(default_factory=list)  # from the end of each event until all is well again
+    settled_s: list = field(default_factory=list)  # from the end of each event until all states are visible and right
     counts: object = None  # EstimatorCounts
 
 
@@ -146,12 +146,12 @@ EVERY, WARM_UP = 100, 200  # frames
 
 
 def fly(fault, name, filter_name, seed, events=8, longest_s=0.2, **params):
-    """Judged flight with two events a second; each lasts from one frame to longest_s, drawn evenly in its logarithm."""
+    """Judged flight with two events a second; each lasts from one frame to longest_s, drawn log-uniformly."""
     truth, judged = truth_of(seed), Judged()
     rng, row = np.random.default_rng([seed, 1]), NAMES.index(name)
     types = {n: load_vehicle_type("iris" if n == "IRIS" else "ardrone") for n in NAMES}
     estimator = StatesEstimator(TEMPLATES, PoseFitParams(**params), NAMES, make_filter(filter_name), types)
-    frames = 0  # of the event
+    frames = 0  # length of the event
     for k in range(WARM_UP + EVERY * events):
         since = (k - WARM_UP) % EVERY if k >= WARM_UP else k
         if k >= WARM_UP and since == 0:

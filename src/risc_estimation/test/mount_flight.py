@@ -19,7 +19,7 @@ NAME = "fluffy_II"
 CAMERA = Camera(CameraCalibration.from_intrinsics("wide", (640, 360), (580.0, 580.0), (320.0, 180.0)))
 POSE_HZ, PICTURE_HZ = 50.0, 15.0
 T0_S = 1.7e9  # as large as real stamps
-_TURN_S = 7.5  # each landmark is looked at for so long
+_TURN_S = 7.5  # time for which each landmark is looked at
 
 
 def flying(t_s):
@@ -34,7 +34,7 @@ def flying(t_s):
 
 
 def hovering(t_s):
-    """The same for one that stays where it is, as well as it can."""
+    """As `flying`, for a vehicle that hovers in one place, with small motions."""
     position = np.array((0.0, 0.8, 1.4)) + 0.02 * np.sin((1.1 * t_s, 1.9 * t_s, 0.7 * t_s))
     return position, (0.01 * np.sin(t_s), 0.01 * np.cos(1.4 * t_s), 0.02 * np.sin(0.6 * t_s))
 
@@ -69,7 +69,7 @@ def noisy(samples, seed, noise_deg=0.3):
 def with_wrong_ones(samples, share, seed, camera=CAMERA):
     """The samples, a share of them false.
 
-    Half of these see anything in the picture, half another landmark than they say: the next one, 30 degrees aside.
+    Half of these point anywhere in the picture, half at another landmark than named: the next one, 30 degrees aside.
     """
     random = np.random.default_rng(seed)
     rays = samples.rays.copy()

@@ -53,7 +53,7 @@ class AngleEstimationNodeTest(unittest.TestCase):
             if time.monotonic() > deadline_s:
                 raise AssertionError("the nodes did not connect within %g s" % PATIENCE_S)
             time.sleep(0.02)
-        # A publisher counts a subscriber only after it has told it so: an answer in between is lost.
+        # A publisher counts a subscriber only after its handshake reply: an answer in between is lost.
         while not (cls.angles and cls.raw):
             if time.monotonic() > deadline_s:
                 raise AssertionError("no answers within %g s" % PATIENCE_S)
@@ -73,7 +73,7 @@ class AngleEstimationNodeTest(unittest.TestCase):
         return lambda kept: any(msg.header.stamp == header.stamp for msg in kept)
 
     def ask(self, *entries):
-        """Send regions; the answers of both nodes, rectified and raw."""
+        """Send regions; return the answers of both nodes, rectified and raw."""
         type(self).stamp_s += 0.033
         stamp = rospy.Time.from_sec(self.stamp_s)
         self.pub.publish(Observed_rois(Header(stamp=stamp, frame_id="/cortex"), list(entries)))
@@ -139,7 +139,7 @@ class AngleEstimationNodeTest(unittest.TestCase):
 
         before = Header(stamp=rospy.Time.from_sec(self.stamp_s - 1.0), frame_id="risc1/camera")
         self.exact.publish(detections(before, 100.0, 100.0))
-        with self.arrived:  # from now on the nodes know that there are exact ones
+        with self.arrived:  # from now on the nodes know that there are exact detections
             both = self.arrived.wait_for(lambda: all(map(self.answered(before), (self.angles, self.raw))), PATIENCE_S)
             self.assertTrue(both, "no answer")
         for k, (x, y) in enumerate(pixels):

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """learn_template.py beside a motion capture that shows an object at rest, one that moves, and others.
 
-Once as a program; its other orders are given in this process, which is a node of the same name.
+It runs once as a program; otherwise its main is called in this process, a node of the same name.
 """
 
 import contextlib
@@ -45,7 +45,7 @@ def run(*arguments):
 
 
 def call(*arguments):
-    """The same of its main, in this process."""
+    """As `run`, by calling its main in this process."""
     spec = importlib.util.spec_from_file_location(PROGRAM.stem, PROGRAM)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -106,5 +106,5 @@ class LearnTemplateTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    init_node("learn_template", anonymous=True)  # as the program says it, which may say it again then
+    init_node("learn_template", anonymous=True)  # same arguments as in the program, whose main calls it again
     rostest.rosrun("risc_estimation", "learn_template", LearnTemplateTest, sys.argv)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""states_estimation.py with a filter (on_board_members) that wants velocities of navdata and the commands sent."""
+"""states_estimation.py with a filter (on_board_members) that uses velocities from navdata and the commands sent."""
 
 import sys
 import time

@@ -48,11 +48,11 @@ class QuadEkfTest(unittest.TestCase):
         wait_for(lambda: cls.commands.get_num_connections(), "the filter listens to commands")
 
     def send(self, offset_m=(0.0, 0.0, 0.0), without=()):
-        """A frame of now, with a command and a reading of just before."""
+        """Send a command, a reading and then a frame, all stamped now; return the stamp."""
         now = rospy.Time.now()
         climb = CommandSent(name="fluffy_II", sent=now, climb=COMMAND_CLIMB_M_S)
         self.commands.publish(CommandsSent(commands=[climb, CommandSent(name="IRIS", sent=now)]))
-        # its sensors are never quite still; what stands still is no reading
+        # real readings are noisy; readings that do not change are ignored
         self.navdata.publish(
             Navdata(header=Header(stamp=now), vx=self.rng.normal(0.0, 1.0), vy=self.rng.normal(0.0, 1.0))
         )
@@ -70,7 +70,7 @@ class QuadEkfTest(unittest.TestCase):
         return now
 
     def send_until(self, condition, what, **given):
-        """Frames until a condition holds."""
+        """Send frames until a condition holds."""
 
         def sent():
             self.send(**given)
@@ -113,7 +113,7 @@ class QuadEkfTest(unittest.TestCase):
         self.send_until(lambda: len(first) >= 10, "ten of them")
         steps_s = np.diff([message.header.stamp.to_sec() for message in first])
         self.assertGreater(steps_s.min(), 0.99 / PUBLISH_HZ, "of frames that come faster only some are told")
-        # the climb loop that stands still: what is commanded over its time constant, less what the filter has learnt
+        # the climb loop at rest: command over time constant, less what the filter has learnt
         limit_m_s2 = 1.5 * COMMAND_CLIMB_M_S / load_vehicle_type("ardrone").climb_time_constant_s
         points = np.array([(m.point.x, m.point.y, m.point.z) for m in first])
         self.assertTrue(

@@ -68,10 +68,10 @@ class StatesEstimationNodeTest(unittest.TestCase):
             cls.arrived.notify_all()
 
     def setUp(self):
-        """Every test starts half a second of stamps later, with empty windows and empty hands."""
+        """Start each test half a second of stamps later, with empty windows and no kept messages."""
         type(self).sent_to_s += 0.5
         with self.arrived:
-            if self.newest is not None:  # the silence after the test before is announced, with its last stamp again
+            if self.newest is not None:  # the silence after the previous test is announced with its last stamp
                 self.arrived.wait_for(
                     lambda: [msg.header.stamp for msg in self.states[-2:]] == [self.newest] * 2, PATIENCE_S
                 )
@@ -102,7 +102,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.pub.publish(mocap_message(Header(stamp=stamp, frame_id=frame_id), *pack_bodies(bodies)))
 
     def send_run(self, frames, **absent):
-        """Send frames at 200 Hz; returns their stamps. No burst follows a stall: the node would pass frames over."""
+        """Send frames at 200 Hz; return their stamps. No burst follows a stall: the node would skip frames."""
         stamps = []
         due_s = time.monotonic()
         for k in range(frames):
@@ -158,7 +158,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertTrue(np.isnan(albatross.pose.covariance).all())
 
     def send_while_the_node_is_held_up(self, frames):
-        """Send frames of which the node sees nothing before all have been sent; returns their stamps."""
+        """Stop the node's process, send frames, let it go on; return their stamps."""
         uri = rosgraph.Master(NAME).lookupNode("/Mocap_State_Estimator")
         _, _, pid = xmlrpc.client.ServerProxy(uri).getPid(NAME)
         os.kill(pid, signal.SIGSTOP)
@@ -174,7 +174,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertAlmostEqual(states[59].Obj[0].z, 1.0, delta=1e-3)
 
     def test_of_a_backlog_the_newest_frames_are_estimated(self):
-        """A computer that is too slow for all frames flies by new ones."""
+        """A computer that is too slow for all frames uses the newest ones."""
         stamps = self.send_while_the_node_is_held_up(150)
         with self.arrived:
             self.arrived.wait_for(lambda: self.states and self.states[-1].header.stamp == stamps[-1], PATIENCE_S)
@@ -220,9 +220,9 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertTrue(all(3 <= counted.used <= counted.known for counted in status.markers), status.markers)
 
     def test_markers_without_a_label_are_used(self):
-        """All labels of a vehicle are gone; it is seen all the same, but for frames that their markers came after."""
+        """All labels of a vehicle are lost; it is still seen, except in frames that come before their markers."""
         stamps_s = [self.sent_to_s + k * FRAME_S for k in range(80)]
-        for k in range(60, 80):  # long before their frames: they come on a connection of their own
+        for k in range(60, 80):  # long before their frames: they come on a separate connection
             header = Header(stamp=rospy.Time.from_sec(stamps_s[k]), frame_id="cortex")
             self.loose_pub.publish(UnidentifiedMarkers(header, self.frame(k)["fluffy_II"].ravel().tolist()))
         self.send_run(60)
@@ -253,7 +253,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertTrue(told, "the exchange is not counted")
 
     def exchanges(self):
-        """As the newest status says."""
+        """Number of exchanges in the newest status."""
         return max(
             (c.count for status in self.statuses[-1:] for c in status.counters if c.name == "exchanges"), default=0
         )

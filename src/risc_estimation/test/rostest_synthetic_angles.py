@@ -40,14 +40,14 @@ class SyntheticAnglesNodeTest(unittest.TestCase):
             self.arrived.notify_all()
 
     def wait_for(self, count):
-        """Until so many pictures' bearings are there."""
+        """Wait until the bearings of `count` pictures have come."""
         with self.arrived:
             self.assertTrue(self.arrived.wait_for(lambda: len(self.kept) >= count, PATIENCE_S), len(self.kept))
 
     def test_bearings_are_those_of_the_moment_of_exposure(self):
         start_s = 1000.0 + math.floor(rospy.get_time())
         self.landmarks.publish(Landmarks(Obj=[Landmark("Green_pink", 2.5, 0.0, 1.0), Landmark("Pink_blue", -2, 0, 1)]))
-        time.sleep(0.5)  # another topic, another connection: it must be there first
+        time.sleep(0.5)  # sent on a separate connection: it must arrive first
         for k in range(400):
             stamp_s = start_s + 0.005 * k
             fluffy = States(name="fluffy_II", visible=True, z=1.0, psi=YAW_RATE_DEG * (stamp_s - start_s))
@@ -55,7 +55,7 @@ class SyntheticAnglesNodeTest(unittest.TestCase):
             message = Cortex(Obj=[fluffy, albatross])
             message.header.stamp = rospy.Time.from_sec(stamp_s)
             self.states.publish(message)
-            self.wait_for(0.005 * k * RATE_HZ - 5.0)  # so the node is never so far behind that a queue leaves one out
+            self.wait_for(0.005 * k * RATE_HZ - 5.0)  # so that the node never falls behind and a queue drops one
         self.wait_for(59)
         messages = self.kept[5:59]
         for message in messages:

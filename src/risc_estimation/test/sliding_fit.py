@@ -1,4 +1,4 @@
-"""One window of `risc_estimation.least_squares`, and its weights, for tests: by calls of numpy arrays."""
+"""One window of `risc_estimation.least_squares`, and its weights, for tests: called with numpy arrays."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ class SlidingFit(Windows):
         push_samples(self.window, float(stamp_s), np.array(values, dtype=float), present, np.zeros_like(present))
 
     def estimate(self, bodies=None):
-        """Value and slope (bodies, channels), samples (bodies,) used, span_s (bodies,) of all, or of the given."""
+        """Value and slope (bodies, channels), samples (bodies,) used, span_s (bodies,) of all or given bodies."""
         window = self.window
         bodies = np.arange(len(window.bodies)) if bodies is None else bodies
         wanted = np.zeros(len(window.bodies), dtype=bool)
@@ -29,7 +29,7 @@ class SlidingFit(Windows):
 
 
 def endpoint_weights(ages_s, order):
-    """(2, n) weights of samples for value and slope at age zero, which is the last."""
+    """(2, n) weights of samples for value and slope at age zero, the last sample."""
     ages_s, weights = np.array(ages_s, dtype=float), np.zeros((2, len(ages_s)))
     fit = np.zeros(1, dtype=FIT)[0]
     fit["window_s"], fit["order"] = float(ages_s.max()) or 1.0, order

@@ -167,7 +167,7 @@ def test_camera_info_that_we_do_not_do_is_refused(changes, reason):
 
 
 def answered(messages):
-    """Those of messages (observer, image, exact) that are taken. Images: 15 a second."""
+    """Messages (observer, image number, exact) that are accepted, at 15 images a second."""
     source = ImageSource()
     return [m for m in messages if source.take(m[0], T0_NS + int(m[1] * 1e9 / 15), m[2])]
 

@@ -21,7 +21,7 @@ from risc_lab.states import S
 TEMPLATES = load_templates()
 TYPES = {"fluffy_II": load_vehicle_type("ardrone"), "IRIS": load_vehicle_type("iris")}
 DT_S, NOISE_M = 0.005, 0.002
-COMMANDS_S = 0.03  # between two
+COMMANDS_S = 0.03  # between two commands
 
 
 def model(name="fluffy_II", **given):
@@ -95,7 +95,7 @@ def test_it_predicts_and_corrects_as_filterpy_does():
 
 
 class Flown:
-    """A vehicle that is what the model says, on random commands, seen by cameras with noise of NOISE_M."""
+    """A vehicle that behaves as modelled, on random commands, seen by cameras with noise of NOISE_M."""
 
     def __init__(self, seed=1, name="fluffy_II", noise_m=NOISE_M, **given):
         self.name, self.rng, self.model = name, np.random.default_rng(seed), model(name, **given)
@@ -136,7 +136,7 @@ class Flown:
         return self.time_s, *pack_bodies({self.name: markers})
 
     def fly(self, seconds):
-        """Seen well for so long; the last FrameEstimate."""
+        """Fly for that time, well seen; return the last FrameEstimate."""
         for _ in range(round(seconds / DT_S)):
             estimate = self.estimator.update(*self.step())
         return estimate
@@ -153,7 +153,7 @@ def beside(frame, by_m):
 
 @pytest.mark.parametrize("name", TYPES)
 def test_its_covariance_is_true(name, inputs):
-    """Mean NEES of flights of a vehicle that is what the model says: within its 95 % band, one time each flight."""
+    """Mean NEES of a vehicle that behaves as modelled, at one time of each flight: within its 95 % band."""
     squares = []
     for seed in range(inputs(20, 40)):
         flown = Flown(seed, name)
@@ -166,7 +166,7 @@ def test_its_covariance_is_true(name, inputs):
 
 
 def test_its_innovations_are_those_that_the_gate_looks_at(inputs):
-    """Mean NIS of many frames within its 95 % band, and nothing of it is changed by who asks."""
+    """Mean NIS of many frames is within its 95 % band, and asking for the innovations changes nothing."""
     asked, other, found = Flown(11), Flown(11), []
     asked.fly(1.5), other.fly(1.5)
     for k in range(inputs(1000, 2000)):
@@ -206,8 +206,8 @@ def test_innovations_are_those_of_the_frame_whatever_is_measured_on_board_meanwh
 
 
 def test_what_cannot_be_true_is_refused_at_once():
-    """Half a metre beside for 0.2 s: never shown there, and right again with the first good frame. Without the gate the
-    state goes along.
+    """Markers half a metre off for 0.2 s: never shown there, and right again with the first good frame. Without the
+    gate the state follows them.
     """
     worst_m = {}
     for gate in (1e-5, 0.0):
@@ -284,7 +284,7 @@ def test_what_agrees_for_long_is_believed_and_the_truth_at_once():
 
 
 def test_the_acceleration_is_that_of_the_model_and_nobodys_without_commands():
-    """Gravity does not come in: a level vehicle has none, a pitched one about g tan. Of a tip nobody knows it."""
+    """Without gravity: none for a level vehicle, about g tan(pitch) for a pitched one. NaN for a pendulum tip."""
     flown, dull = Flown(12), "Pendulum_tip"
     assert np.isnan(flown.estimator.accelerations()).all()
     for _ in range(300):
@@ -316,7 +316,7 @@ def test_what_becomes_of_the_poses_is_counted_for_each_body():
     assert (counts.poses - before.poses, counts.positions_refused - before.positions_refused) == (21, 20)
     assert counts.resets == 0
     lost = np.full_like(TEMPLATES[flown.name].markers_m, np.nan)
-    for _ in range(2000):  # longer than anybody knows where it may be: the next pose begins anew
+    for _ in range(2000):  # longer than a prediction is of use: the next pose resets the filter
         stamp_s, layout, _ = flown.step()
         flown.estimator.update(stamp_s, layout, lost)
     flown.fly(1.0)
@@ -330,7 +330,7 @@ def test_what_becomes_of_the_poses_is_counted_for_each_body():
 
 
 def test_late_poses_are_taken_at_their_own_time():
-    """Frames in another order end in the same state as in theirs."""
+    """Frames out of order end in the same state as frames in order."""
     ends = []
     for late in (False, True):
         flown = Flown(7)
@@ -346,7 +346,7 @@ def test_late_poses_are_taken_at_their_own_time():
 
 
 def test_readings_that_stand_still_are_none():
-    """A driver whose vehicle is gone repeats itself."""
+    """A driver whose vehicle is gone repeats its last reading."""
     ends = []
     for repeats in (1, 50):
         flown = Flown(8)
@@ -360,7 +360,7 @@ def test_readings_that_stand_still_are_none():
 
 
 def test_who_is_of_no_type_is_followed_all_the_same():
-    """The tip of a pendulum, and a vehicle that the fleet does not know: accelerations are noise."""
+    """The tip of a pendulum, and a vehicle that is not in the fleet: accelerations are modelled as noise."""
     for name in "Pendulum_tip", "Raven":
         flown = Flown(9)
         flown.name = name
@@ -371,7 +371,7 @@ def test_who_is_of_no_type_is_followed_all_the_same():
 
 
 def test_states_go_on_while_frames_are_late():
-    """For half a second frames come 0.1 s late: meanwhile states of now are predicted, none of them twice."""
+    """For half a second frames come 0.1 s late: meanwhile current states are predicted, each given once."""
     flown = Flown(10)
     last = flown.fly(1.5)
     on_their_way = []

@@ -45,7 +45,7 @@ def test_markers_leave_body_by_body():
 
 def test_states_leave_in_degrees_field_by_field():
     messages = conversions.EstimateMessages()
-    for _ in range(2):  # the message is filled again
+    for _ in range(2):  # the message object is reused
         msg = over_the_wire(messages.states(Header(frame_id="cortex"), estimate()), Cortex)
         first = msg.Obj[0]
         assert (first.name, first.visible, msg.Obj[1].visible) == ("Raven", True, False)
@@ -80,7 +80,7 @@ def test_header_keeps_the_stamp_and_loses_the_slash(frame_id, expected):
 
 
 def pose_frame():
-    """Of three bodies, the last of which was never seen."""
+    """PoseFrame of three bodies, the last of which was never seen."""
     quats_xyzw = np.array([[0.0, 0.0, np.sin(0.3), np.cos(0.3)], [0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 0.0, 1.0]])
     covariances = np.arange(108.0).reshape(3, 6, 6)
     covariances[2] = np.nan

@@ -1,4 +1,4 @@
-"""What every filter of the registry keeps to, one from elsewhere (members/filters) as those of the tree."""
+"""What every filter of the registry must do, those of the tree and one from a member folder (members/filters)."""
 
 import math
 import pathlib
@@ -27,7 +27,7 @@ def members(monkeypatch):
 
 
 def frame(*places, name="fluffy_II"):
-    """(layout, markers) of vehicles at places ((x, y, z) [m], yaw [rad]); name: of the only one."""
+    """(layout, markers) of vehicles at places ((x, y, z) [m], yaw [rad]); name: of a single vehicle."""
     names = [name] if len(places) == 1 else ["fluffy_II", "Raven"]
     return pack_bodies(
         {
@@ -87,7 +87,7 @@ def test_nobody_is_shown_at_once_outside_or_after_the_clock_was_set(name):
 
 
 class Recorder(VelocityFilter):
-    """Keeps what it is given."""
+    """Filter that records what it is given."""
 
     late_s = 0.05
     ON_BOARD = ("gyro",)
@@ -126,7 +126,7 @@ def test_a_filter_is_given_raw_poses_late_ones_if_it_takes_them_and_what_is_meas
 
 
 def test_a_clock_that_was_set_back_a_little_is_none_of_a_late_frame():
-    """By less than late_s: nothing of the new clock reaches the filter before it is known, as without late_s."""
+    """Set back by less than late_s: the filter gets frames of the new clock once it is accepted, as without late_s."""
     recorder = Recorder()
     estimator = StatesEstimator(TEMPLATES, velocity_filter=recorder)
     seen = [estimator.update(t, *frame(((0.1, 0.2, 1.0), 0.0))) for t in (1.000, 1.010, 0.970, 0.980, 0.990, 1.000)]
@@ -144,7 +144,7 @@ def test_without_late_s_what_is_late_does_not_reach_the_filter():
 
 
 def test_a_burst_of_late_frames_blinds_nobody_and_a_clock_set_back_as_little_starts_afresh():
-    """20 ms of a steady 200 Hz: late frames reach a filter that takes them; the same on a clock that was set do not."""
+    """At a steady 200 Hz: frames up to 20 ms late reach a filter that takes them; those of a clock set back do not."""
     body = frame(((0.1, 0.2, 1.0), 0.0))
     for estimator in (make("least_squares"), StatesEstimator(TEMPLATES, velocity_filter=Recorder())):
         estimates = [estimator.update(k * DT_S, *body) for k in (*range(60), 64, 61, 62, 63, 65, 66)]

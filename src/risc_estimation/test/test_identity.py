@@ -44,13 +44,13 @@ BOTH = [
 
 @pytest.fixture(scope="session")
 def together(inputs):
-    """together(fault, vehicle, filter): judged flights of all seeds: false frames, the wrong ones of them, wrong ones
-    after, blind ones; when settled; the counts of each flight.
+    """together(fault, vehicle, filter): flights of all seeds, as (false_frames, wrong, wrong_after, blind) summed,
+    settled_s of all events, and the counts of each flight; see Judged.
     """
 
     @functools.cache
     def of(*arguments, **options):
-        flights = [fly(*arguments, seed=seed, **options) for seed in inputs((0, 2), range(4))]  # false often enough
+        flights = [fly(*arguments, seed=seed, **options) for seed in inputs((0, 2), range(4))]  # enough false frames
         sums = [sum(getattr(f, n) for f in flights) for n in ("false_frames", "wrong", "wrong_after", "blind")]
         return *sums, np.concatenate([f.settled_s for f in flights]), [f.counts for f in flights]
 
@@ -85,8 +85,8 @@ def test_without_the_gates_it_is_shown(together, fault, vehicle):
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_a_displaced_marker_is_left_out_of_the_pose(vehicle):
-    """Of raw poses: none is off by 12 mm or 4 degrees in either of 2000 frames with an error of 50 mm. Without the
-    gates some are.
+    """Raw poses with one marker off by 50 mm: at most 2 of 1000 frames are off by 12 mm or 4 degrees. Without the
+    gates more than 20 are.
     """
     off, truth, row = {}, truth_of(1), NAMES.index(vehicle)
     for name, params in ("with", {}), ("without", OFF):
@@ -117,7 +117,7 @@ def test_a_displaced_marker_is_left_out_of_the_pose(vehicle):
     ],
 )
 def test_what_can_be_mended_is_flown_on(together, fault, counter, vehicle):
-    """The vehicle is seen in all false frames but a few, and they are counted."""
+    """The vehicle is seen in almost all false frames, and the corrections are counted."""
     false, _, _, blind, settled_s, counts = together(fault, vehicle, "least_squares")
     assert blind <= 0.02 * false and np.median(settled_s) == 0.0
     assert all(getattr(c, counter) >= 4 for c in counts)
@@ -133,12 +133,12 @@ def test_what_cannot_be_is_counted_and_refused(together, fault):
 
 
 def drift(name, t):
-    """Four vehicles that pass slowly, in one line."""
+    """Position [m] of a vehicle at time t: four vehicles drift slowly in one line."""
     return np.array([-1.5 + NAMES.index(name) + 0.2 * t, 0.0, 1.0])
 
 
 def frame(rng, t, names=NAMES, **said):
-    """(layout, markers) of vehicles under the name that motion capture says to them."""
+    """(layout, markers) of vehicles at time t. said: {vehicle: other name under which motion capture reports it}."""
     return pack_bodies(
         {
             said.get(name, name): drift(name, t)
@@ -150,7 +150,7 @@ def frame(rng, t, names=NAMES, **said):
 
 
 def places(estimator, t):
-    """[name] of the vehicle that is where the one of each row is said to be; None: not present."""
+    """For each row the name of the vehicle that is really at its position; None: not present."""
     poses = estimator.poses
     return [
         min(NAMES, key=lambda other: np.linalg.norm(drift(other, t) - poses.position_m[row])) if here else None
@@ -159,7 +159,7 @@ def places(estimator, t):
 
 
 def test_names_that_stay_exchanged_are_told_apart_for_as_long_as_they_are_seen():
-    """Exchanged for 2 s, hidden for a moment meanwhile, and named right again: noticed once, mended in every frame."""
+    """Exchanged for 2 s, one briefly hidden, then named correctly again: counted once, corrected in every frame."""
     rng, estimator, swapped = np.random.default_rng(1), StatesEstimator(TEMPLATES, None, NAMES), {}
     for k in range(600):
         t = k * DT_S
@@ -189,7 +189,7 @@ def test_who_was_out_of_sight_for_long_is_who_motion_capture_says():
 
 
 def test_where_all_that_is_seen_is_false_no_name_is_exchanged(inputs):
-    """y for z: of a body that was not seen for long the prediction has become so wide that others may fit by chance."""
+    """y and z swapped: the prediction of a body not seen for long is so wide that others may fit by chance."""
     for seed in range(inputs(12, 40)):
         truth, rng = truth_of(seed), np.random.default_rng(seed)
         estimator = StatesEstimator(TEMPLATES, None, NAMES)
@@ -202,7 +202,7 @@ def test_where_all_that_is_seen_is_false_no_name_is_exchanged(inputs):
 
 
 def test_one_name_is_taken_by_another_while_its_own_vehicle_is_hidden():
-    """Raven's label goes to fluffy_II, whose own has nothing; Raven is not seen at all."""
+    """fluffy_II is reported as Raven, and nothing as fluffy_II; Raven is not seen at all."""
     rng, estimator = np.random.default_rng(3), StatesEstimator(TEMPLATES, None, NAMES)
     for k in range(200):
         t = k * DT_S
@@ -262,7 +262,7 @@ def test_after_false_places_the_truth_is_believed_at_once(inputs, false_s):
 
 
 def test_after_false_places_of_5_s_the_truth_is_believed_within_the_memory():
-    """The track of before is forgotten: what contradicts the false one is refused at first, and then no more."""
+    """The earlier track is forgotten: true places contradict the false one and are refused at first, then accepted."""
     row = NAMES.index("Raven")
     for seed in range(4):
         truth, estimator, rng = truth_of(seed, frames=1400), PoseFit(TEMPLATES), np.random.default_rng(seed)
@@ -277,7 +277,7 @@ def test_after_false_places_of_5_s_the_truth_is_believed_within_the_memory():
 
 @pytest.mark.parametrize("off_m", [0.3, 9.0])
 def test_no_velocity_is_made_of_false_places_and_true_ones(off_m):
-    """False places are believed when they stay; outside of the arena nobody is shown them, but windows have them."""
+    """False places that persist are believed; outside of the arena they are not shown, but they are in the windows."""
     truth, estimator, rng = truth_of(3), StatesEstimator(TEMPLATES, None, NAMES), np.random.default_rng(3)
 
     def lie(bodies):
@@ -297,7 +297,7 @@ def test_no_velocity_is_made_of_false_places_and_true_ones(off_m):
 
 
 def test_after_an_outage_places_are_judged_as_before():
-    """Out of sight for 0.5 s, in view for 0.1 s, then false: the track before the outage is no excuse."""
+    """Out of sight for 0.5 s, in view for 0.1 s, then false places: refused, whatever the track before the outage."""
     truth, estimator, rng = truth_of(3), PoseFit(TEMPLATES), np.random.default_rng(3)
     lie = functools.partial(jump, name="Raven", place_m=None, rng=rng, kept=[])
     for k in [*range(100), *range(200, 235)]:
@@ -360,7 +360,7 @@ def test_without_a_prediction_what_is_not_clear_is_refused():
 
 
 def test_late_frames_are_judged_at_their_own_time():
-    """They are behind the newest: believed where the vehicle was then, refused elsewhere, and they teach nothing."""
+    """Frames behind the newest are accepted where the vehicle was then, refused elsewhere, and change no track."""
     rng, estimator = np.random.default_rng(10), StatesEstimator(TEMPLATES, None, NAMES, make_filter("ekf"))
     order = [*range(50), 52, 50, 51, 53, *range(54, 100)]
     for k in order:
@@ -432,7 +432,7 @@ def test_nothing_is_refused_without_a_memory():
 
 
 def test_markers_without_a_label_that_stand_still_are_no_measurement():
-    """As those with one: the picture of a camera that stands still, of a body that hovers."""
+    """As with labelled markers: a frozen camera picture of a body that hovers."""
     rng, fit = np.random.default_rng(3), PoseFit(TEMPLATES, PoseFitParams())
     count = len(TEMPLATES["fluffy_II"].markers_m)
     layout, lost_m = (("fluffy_II", count),), np.full((count, 3), np.nan)

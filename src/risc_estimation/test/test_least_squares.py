@@ -204,7 +204,7 @@ def test_a_body_that_appears_when_nobody_was_seen_for_long():
     fit = SlidingFit(0.25, 2, 1, max_gap_s=0.1)
     fit.add_body()
     for k in range(300):
-        here = k >= 100  # the pattern of a full window comes first without anybody
+        here = k >= 100  # the pattern of a full window occurs first with no body present
         fit.push(k * DT_S, [[1.0 + 2.0 * k * DT_S]], np.array([here]))
         value, rate, samples, _ = fit.estimate(np.arange(1 if here else 0))
         if here and samples[0] > 1:

@@ -43,7 +43,7 @@ def distance_m(first, second):
 
 
 def displaced(mount, seed, angle=math.radians(15.0), distance=0.10):
-    """The mount turned by 15 degrees and moved by 10 cm, each in a direction of the seed's."""
+    """The mount turned by 15 degrees and moved by 10 cm, each in a random direction."""
     random = np.random.default_rng(seed)
     axis, way = (v / np.linalg.norm(v) for v in random.normal(size=(2, 3)))
     R = rotation_camera_to_body(mount) @ Rotation.from_rotvec(angle * axis).as_matrix()

@@ -11,7 +11,7 @@ from risc_estimation.state_estimator import PosesEstimator
 
 
 def frame_of(poses, order=slice(None)):
-    """PoseFrame of `Poses`, of their rows in another order."""
+    """PoseFrame from `Poses`, with the rows in another order."""
     names = tuple(np.array(poses.names)[order].tolist())
     turns = Rotation.from_matrix(poses.rotation[order]).as_quat()
     rows = (poses.present, poses.inside, poses.stamps_s, poses.position_m)
@@ -29,7 +29,7 @@ def frame(names, present=True, psi=0.0, covariance=1e-6):
 
 @pytest.mark.parametrize("name", TYPES)
 def test_the_states_are_those_of_both_stages_together(name):
-    """Of a flight with false poses, gaps, commands and readings, to rounding."""
+    """Equal up to rounding, in a flight with false poses, gaps, commands and readings."""
     flown = Flown(21, name)
     second = PosesEstimator(TEMPLATES, [name], make_filter("ekf"), {name: TYPES[name]})
     told = flown.estimator.on_board

@@ -20,7 +20,7 @@ DT_S = 0.005
 TEMPLATES = load_templates()
 HULL = TEMPLATES["fluffy_II"].markers_m
 SENTINEL_M = 9999.999
-# Markers are exact here: one that is still is no frozen picture.
+# Markers are exact here: one at rest is not a frozen picture.
 StatesEstimator = functools.partial(state_estimator.StatesEstimator, params=PoseFitParams(frozen_frames=0))
 
 
@@ -52,12 +52,12 @@ def state_of(estimates, name="fluffy_II"):
 
 
 def vehicle(estimate, name):
-    """(visible, state) of one."""
+    """(visible, state) of one vehicle."""
     row = estimate.names.index(name)
     return bool(estimate.visible[row]), estimate.states[row]
 
 
-# --- conventions, by hand: no frame function of ours involved
+# --- conventions, by hand: without our frame functions
 
 
 def corners(nose, right_wing, down):
@@ -69,7 +69,7 @@ def corners(nose, right_wing, down):
     "nose,right,down,expected_deg",
     [
         ((1, 0, 0), (0, -1, 0), (0, 0, -1), (0, 0, 0)),  # along x, level
-        ((0, -1, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 90)),  # a quarter clockwise: nose to the right
+        ((0, -1, 0), (-1, 0, 0), (0, 0, -1), (0, 0, 90)),  # a quarter turn clockwise: nose to the right
         ((0, 1, 0), (1, 0, 0), (0, 0, -1), (0, 0, -90)),
         ((1, 0, 0), (0, -np.sqrt(0.75), -0.5), (0, 0.5, -np.sqrt(0.75)), (30, 0, 0)),  # right wing down
         ((np.sqrt(0.75), 0, 0.5), (0, -1, 0), (0.5, 0, -np.sqrt(0.75)), (0, 30, 0)),  # nose up
@@ -116,7 +116,7 @@ def test_original_construction_gives_the_same_attitude():
 def test_original_construction_of_an_iris_gives_the_same_pose():
     """Of markers 0, 1, 2 and 4 (the spare one is hidden): east from 1 to 2, and 5 cm below marker 4.
 
-    Its other axes were no unit vectors (D-07); here they are.
+    The original's other axes were not unit vectors (D-07); here they are.
     """
     rng, hull = np.random.default_rng(6), TEMPLATES["IRIS"].markers_m
     for _ in range(20):
@@ -445,7 +445,7 @@ def test_coming_back_from_outside_is_visible_at_once():
     assert estimate.states[0, S.U] == pytest.approx(-0.8, abs=1e-6)
 
 
-# --- markers that lie
+# --- false markers
 
 
 def test_ghost_marker_is_left_out_of_four_and_makes_three_invisible():
@@ -471,7 +471,7 @@ def test_swapped_markers_never_pass_for_an_attitude(first, second):
 
 
 def test_three_corners_swapped_into_an_upside_down_square():
-    """Exchanging the ends of the diagonal is a perfect fit with the belly up: only the tilt gives it away."""
+    """Exchanging the ends of the diagonal fits perfectly, but upside down: only the tilt reveals it."""
     swapped = markers_at((0, 0, 1), 0.1, 0.1, 0.3)[[0, 2, 1]]
     estimator = StatesEstimator(TEMPLATES)
     assert not feed(estimator, [{"fluffy_II": swapped}] * 30)[-1].visible.any()
@@ -486,7 +486,7 @@ def test_markers_collapsed_on_a_line_are_refused():
 
 
 def test_a_picture_that_stands_still_is_none():
-    """Of one vehicle of two, of one marker; noise far below that of cameras is enough for a vehicle that is still."""
+    """One vehicle of two, then one marker, is frozen; a vehicle at rest needs only noise far below that of cameras."""
     rng, exact = np.random.default_rng(1), {"fluffy_II": markers_at((0, 0, 1)), "Raven": markers_at((1, 0, 1))}
     frames = [{name: m + 1e-6 * rng.standard_normal(m.shape) for name, m in exact.items()} for _ in range(60)]
     watching, trusting = state_estimator.StatesEstimator(TEMPLATES), StatesEstimator(TEMPLATES)
@@ -512,7 +512,7 @@ def test_a_picture_that_stands_still_is_none():
 
 
 def test_nobody_gets_the_name_of_another_from_a_picture_that_stands_still():
-    """While it does, both may have come to where it has the other: one that flies to where one stands on the floor."""
+    """Meanwhile each may have come to where the picture shows the other: here one flies above one on the floor."""
     rng, estimator = np.random.default_rng(1), state_estimator.StatesEstimator(TEMPLATES)
     poses = [{"fluffy_II": (0.45 * DT_S * k, 0, 0.75), "Raven": (0.1, 0.1, 0.08)} for k in range(190)]
     frames = [{name: markers_at(at) + 1e-4 * rng.standard_normal((4, 3)) for name, at in k.items()} for k in poses]
@@ -616,7 +616,7 @@ def test_clock_that_falls_back_starts_everything_afresh():
 
 @pytest.mark.parametrize("set_by_s", [-0.05, -0.3, -0.6, -1.0, 2.0, 60.0])
 def test_a_clock_that_is_set_hides_nobody_for_long(set_by_s):
-    """0.1 s without a state is where a vehicle begins to hold."""
+    """After 0.1 s without a state a vehicle begins to hold."""
     estimator = StatesEstimator(TEMPLATES)
     feed(estimator, still(), start_s=1000.0)
     after = feed(estimator, still(), start_s=1000.0 + len(still()) * DT_S + set_by_s)

@@ -1,7 +1,7 @@
 """The estimator against the one in numpy that it replaced (golden/make_states.py), and against itself uncompiled.
 
-The old one took each frame for itself, and had one gate for all residuals. The recorded flight has swapped markers,
-which it refused: those gates are off where the two are compared.
+The old one treated each frame on its own, and had one gate for all residuals. The recorded flight has swapped markers,
+which it refused: the present gates are off where the two are compared.
 """
 
 import json

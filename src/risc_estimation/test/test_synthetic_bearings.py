@@ -16,7 +16,7 @@ T0_S = 1.7e9  # as large as real stamps
 
 
 def fly(synthetic, frames, states, start_s=T0_S, rate_hz=200.0):
-    """Pictures of so many frames; states: function of time since the start."""
+    """Pictures taken during `frames` frames; states: function of the time since the start."""
     pictures = []
     for k in range(frames):
         pictures += synthetic.update(start_s + k / rate_hz, states(k / rate_hz))

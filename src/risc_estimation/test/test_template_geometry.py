@@ -1,4 +1,4 @@
-"""Templates that are learnt: from noisy markers at rest to a file that loads, and what a geometry is mistaken for."""
+"""Learning templates: from noisy markers at rest to a file that loads, and which geometries resemble each other."""
 
 import itertools
 import math
@@ -36,7 +36,7 @@ def samples(markers_m, frames=600, noise_m=NOISE_M, seed=1):
 def test_false_frames_change_nothing():
     recorded = samples(HULL.markers_m)
     recorded[::20, 1] += 0.3
-    recorded[5::20, 2] = 9999.999  # as bags of the original have a lost marker
+    recorded[5::20, 2] = 9999.999  # a lost marker in bags of the original
     recorded[3::20, 0] = np.nan
     rest = at_rest(recorded)
     np.testing.assert_allclose(rest.markers_m, HULL.markers_m, atol=5e-4)
@@ -86,7 +86,7 @@ def test_a_mirror_image_is_no_match():
 
 
 def test_what_is_symmetric_is_told_with_markers_and_turn():
-    """Three corners of a square lie on each other upside down; the fourth marker of the hull tells them apart."""
+    """Three corners of a square also fit upside down; the fourth marker of the hull tells the two apart."""
     match = symmetry(SQUARE_M)
     assert match.places == (0, 2, 1) and match.rms_m < 1e-9 and match.angle_rad == pytest.approx(math.pi)
     assert symmetry(HULL.markers_m) is None

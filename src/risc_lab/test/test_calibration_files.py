@@ -1,4 +1,4 @@
-"""Calibration and mount files: what is written is read back, what is wrong is told with file and key."""
+"""Calibration and mount files: what is written is read back; errors name file and key."""
 
 import os
 from dataclasses import replace
@@ -30,7 +30,7 @@ def test_calibration_survives_its_file(tmp_path):
 
 
 def test_numbers_are_read_as_programs_in_cpp_write_them(tmp_path):
-    """yaml-cpp, and with it camera_calibration_parsers, writes 1e-05; YAML 1.1 would make a text of it."""
+    """yaml-cpp, and with it camera_calibration_parsers, writes 1e-05; YAML 1.1 would read it as a string."""
     path = tmp_path / "front.yaml"
     save_calibration(CALIBRATION, path)
     text = path.read_text(encoding="utf-8")

@@ -31,7 +31,7 @@ def test_a_steady_clock_goes_on_when_the_clock_is_set(monkeypatch):
     for set_by_s in (-0.6, 3600.0):
         ahead_s = wall_ahead_s + set_by_s
         monkeypatch.setattr(ros_clock.time, "time", lambda ahead_s=ahead_s: time.monotonic() + ahead_s)
-        for _ in range(100):  # a reading that was held up counts for nothing
+        for _ in range(100):  # delayed readings have no effect
             steady_s, stamp_s = clock.now()
         assert steady_s - began_s < 5.0
         assert stamp_s - steady_s == pytest.approx(set_by_s, abs=0.01)

@@ -23,7 +23,7 @@ def looked(stamps, longest_step_s=1.0):
         ([9.0, 8.0, 7.9, 7.8, 7.7, 7.6], [A, R, R, R, R, R]),  # they do not agree
         ([9.0, 8.0, 8.0, 8.1, 8.1, 8.2], [A, R, R, R, R, N]),  # each frame twice
         ([9.0, 8.0, 8.1, 9.1, 8.2, 8.3, 9.2], [A, R, R, A, R, R, A]),  # the old clock goes on
-        ([1.0, 99.0, 1.1, 1.2], [A, R, A, A]),  # one that is damaged
+        ([1.0, 99.0, 1.1, 1.2], [A, R, A, A]),  # one damaged stamp
         ([1.0, 99.0, 99.1, 99.2, 99.3], [A, R, R, N, A]),  # set forward
         ([1.0, math.nan, math.inf, -math.inf, 1.1], [A, R, R, R, A]),
         ([9.0, 8.0, 8.1, math.nan, 8.2], [A, R, R, R, N]),
@@ -48,7 +48,7 @@ FRAMES_S = [100.0 + 0.005 * k for k in range(60)]
     ],
 )
 def test_a_burst_of_late_frames_is_no_set_clock(order, jitter_s):
-    """Of a steady clock at 200 Hz; where a frame is late its stamp goes on rising, and never passes the newest."""
+    """A steady clock at 200 Hz; the stamps of late frames rise among themselves and never pass the newest."""
     rng = np.random.default_rng(1)
     frames = (np.array(FRAMES_S) + rng.uniform(-jitter_s, jitter_s, 60)).tolist()
     steps = looked(frames[:51] + [frames[k] for k in order])

@@ -8,12 +8,12 @@ from risc_lab.ros.diagnostics import make_updater
 
 @pytest.fixture
 def master(monkeypatch):
-    """Parameters of a master, and how often it was asked for one that it was to remember the asker of."""
+    """(parameters of a master, names that were looked up there but are not set and so not cached)."""
     params, asked = {}, []
 
     def get_param_cached(name, default=None):
         if name not in params:
-            asked.append(name)  # as rospy: what does not exist is not cached
+            asked.append(name)  # as in rospy: missing parameters are not cached
         return params.get(name, default)
 
     monkeypatch.setattr(rospy, "has_param", params.__contains__)

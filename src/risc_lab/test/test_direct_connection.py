@@ -47,7 +47,7 @@ def _link():
 
 
 def message(number):
-    """A message that says which it is in every byte pair."""
+    """A message with its number in every byte pair."""
     return number.to_bytes(2, "big") * (LENGTH // 2)
 
 
@@ -86,7 +86,7 @@ def test_nobody_waits_for_a_subscriber_that_does_not_read_and_messages_stay_whol
     assert received[:2] == [0, 1]
     assert received[-3:] == [count - 3, count - 2, count - 1], "the oldest are dropped, not the newest"
     assert len(received) < count
-    connection.write_data(message(7))  # who has caught up is served again
+    connection.write_data(message(7))  # a subscriber that has caught up is served again
     assert read(there, LENGTH) == message(7)
 
 

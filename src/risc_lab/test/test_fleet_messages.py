@@ -74,7 +74,7 @@ def test_same_type_on_the_wire(kind):
     original = dict(zip(KINDS, (Cortex, Trajectories, Controls, Landmarks, Mocap_data)))[kind]
     for ours in (kind, kind.Raw):
         assert (ours._type, ours._md5sum, ours._full_text) == (original._type, original._md5sum, original._full_text)
-    assert kind._has_header  # rospy counts by it
+    assert kind._has_header  # without it rospy does not set header.seq
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -141,7 +141,7 @@ def test_the_bytes_alone_are_read_when_somebody_wants_them():
 @given(data=st.data())
 @settings(max_examples=50)
 def test_names_that_are_no_text_are_read_as_by_genpy_and_written_as_they_came(kind, data):
-    """E.g. those of a mocap host that speaks Latin-1."""
+    """E.g. names from a mocap host that sends Latin-1."""
     original = data.draw(KINDS[kind])
     for k, entry in enumerate(original.Obj):
         entry.name = "B?sch %d" % k

@@ -1,4 +1,4 @@
-"""Callbacks that fail: what is logged, who is told, and that the next message comes."""
+"""Callbacks that fail: what is logged, who is notified, and that the next message is handled."""
 
 import functools
 import re
@@ -17,7 +17,7 @@ from risc_lab.ros.guard import guarded, subscribe  # noqa: E402
 
 @pytest.fixture
 def desk(monkeypatch):
-    """A clock of the test's, what is logged, and whether ROS shuts down."""
+    """A clock set by the test, the logged texts, and whether ROS is shutting down."""
     found = SimpleNamespace(now_s=100.0, errors=[], warnings=[], closing=False)
     monkeypatch.setattr(guard, "time", SimpleNamespace(monotonic=lambda: found.now_s))
     monkeypatch.setattr(guard, "is_closing", lambda: found.closing)
@@ -28,7 +28,7 @@ def desk(monkeypatch):
 
 @pytest.fixture
 def callbacks(monkeypatch):
-    """{topic: callback} of what is subscribed to."""
+    """{topic: callback} of the subscriptions."""
     found = {}
 
     def subscriber(topic, kind, callback, callback_args=None, tcp_nodelay=False, **options):

@@ -74,7 +74,7 @@ def test_a_compressed_picture():
 
 
 def png_of_size(width, height):
-    """A PNG whose header tells a size that it does not have."""
+    """A PNG whose header gives a wrong size."""
     header = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     file = bytearray(cv2.imencode(".png", BGR)[1].tobytes())
     file[12:33] = header + struct.pack(">I", zlib.crc32(header))

@@ -26,7 +26,7 @@ def fleet_dict():
 @pytest.mark.parametrize("path", sorted(FLEETS.parent.glob("**/fleets/*.yaml")), ids=lambda path: path.stem)
 def test_every_fleet_names_known_types_and_templates(path):
     content = yaml.safe_load(path.read_text())
-    content["mocap"]["host"] = content["mocap"]["host"] or "192.0.2.1"  # as whoever copies a file for a real laboratory
+    content["mocap"]["host"] = content["mocap"]["host"] or "192.0.2.1"  # filled in as for a real laboratory
     for k, vehicle in enumerate(content["vehicles"], start=2):
         vehicle["address"] = vehicle["address"] or "192.0.2.%d" % k
     fleet = fleet_from_dict(content)

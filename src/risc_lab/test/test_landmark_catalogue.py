@@ -1,4 +1,4 @@
-"""Names and sizes of landmarks stand in one file, and a wrong file is named."""
+"""Names and sizes of landmarks are in one file; an error names the file."""
 
 import pytest
 import yaml

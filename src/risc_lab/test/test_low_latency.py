@@ -1,4 +1,4 @@
-"""What a flight node's settings do to its process, in a process of its own."""
+"""Effect of a flight node's settings on its process, in a separate process."""
 
 import subprocess
 import sys

@@ -8,7 +8,7 @@ RATE_HZ = 200.0
 
 
 def seen(ages, transits_s, ahead_s, start_s=0.0):
-    """Ages that a receiver finds whose clock is ahead_s ahead of the sender's."""
+    """Ages found by a receiver whose clock is ahead_s ahead of the sender's."""
     found = []
     for k, transit_s in enumerate(transits_s):
         sent_s = start_s + k / RATE_HZ
@@ -25,7 +25,7 @@ def test_with_equal_clocks_the_age_is_the_way():
 def test_a_clock_that_is_behind_makes_nothing_younger():
     ages = MessageAges()
     found = seen(ages, [0.002] * 10 + [0.120], -0.05)
-    assert found[-1] == pytest.approx(0.118)  # 2 ms are the fastest way: no one can tell them from the clocks
+    assert found[-1] == pytest.approx(0.118)  # the fastest transit, 2 ms, cannot be told from a clock offset
     assert ages.behind_s == pytest.approx(0.048)
 
 

@@ -1,4 +1,4 @@
-"""risc_lab.ros.paced_subscriber without a flight; on the wire: the rostests of the nodes that use it."""
+"""risc_lab.ros.paced_subscriber on its own; the rostests of the nodes that use it test it on the wire."""
 
 import gc
 

@@ -14,7 +14,7 @@ ANNOUNCED, ANSWERED = ["http://early:1/"], ["http://known:2/"]
 
 
 class Handler:
-    """Of a node; it ends when all is done that it waits for."""
+    """Handler of a node; done once all wanted connections are made."""
 
     def __init__(self, wanted):
         self._wanted, self.connected = set(wanted), set()
@@ -32,7 +32,7 @@ class Handler:
 
 
 def connected(updates, wanted, patience_s):
-    """What is connected after updates that came before anybody looked at them."""
+    """Connections made after updates that were queued before the manager ran."""
     handler = Handler(wanted)
     manager = registration.RegManager(handler)
     for topic, uris in updates:
@@ -55,5 +55,5 @@ def test_what_was_announced_before_the_answer_is_connected(monkeypatch):
 
 
 def test_rospy_alone_forgets_it():
-    """The control arm: when this fails, the module may go."""
+    """The control arm: when this fails, the module can be removed."""
     assert connected(RACE, ALL, 2.0) == {("/b", ANSWERED[0])}

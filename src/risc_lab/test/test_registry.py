@@ -10,7 +10,7 @@ from risc_lab.registry import Registry
 
 @pytest.fixture
 def registry(tmp_path, monkeypatch):
-    """Of a package "shapes_pack.shapes" with the member "circle"; {tmp_path}/mine is the folder of a student."""
+    """Registry of a package "shapes_pack.shapes" with the member "circle"; {tmp_path}/mine is a student's folder."""
     package = tmp_path / "shapes_pack" / "shapes"
     package.mkdir(parents=True)
     (package.parent / "__init__.py").touch()

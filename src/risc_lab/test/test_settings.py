@@ -144,5 +144,5 @@ for _ in range(100):
 
 
 def test_threads_may_read_settings_of_a_class_for_the_first_time_at_once():
-    """In a process of its own, which crashed: `./maap doctor` reads the same fleet in several threads."""
+    """In a separate process, which used to crash: `./maap doctor` reads the same fleet in several threads."""
     assert subprocess.run([sys.executable, "-c", _RACE], check=False).returncode == 0

@@ -9,10 +9,10 @@ import pytest
 from risc_lab import strangers
 from risc_lab.strangers import MAX_NAMED, SEEN, Guests, OneSender, Strangers
 
-# Loopback has 16 million addresses: tests side by side never meet
+# Loopback has 16 million addresses: parallel tests never collide
 NET = "127.%d.%d." % (64 + os.getpid() % 128, os.getpid() // 128 % 256)
 OURS, VEHICLE, STRANGER = (NET + str(number) for number in (1, 2, 3))
-FILLING = 3000  # so many datagrams, of any size, fill the buffer that these tests ask for
+FILLING = 3000  # this many datagrams, of any size, fill the buffer that these tests ask for
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def door(sockets):
 
 
 def heard(sockets, door):
-    """What waits and is the vehicle's."""
+    """Waiting datagrams that come from the vehicle."""
     found = []
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -74,7 +74,7 @@ def test_the_port_may_be_known_too(sockets, door):
 
 @pytest.mark.parametrize("kernel_refuses", [True, False])
 def test_a_flood_takes_no_room_in_the_buffer(sockets, door, monkeypatch, kernel_refuses):
-    """Nobody reads for a moment, in which a stranger sends more than the buffer holds, and the vehicle a little."""
+    """While the socket is not read, a stranger sends more than the buffer holds, and the vehicle a little."""
     if not kernel_refuses:  # the control arm
         monkeypatch.setattr(strangers, "SEEN", 10**9)
     door.hear(VEHICLE)
@@ -127,8 +127,8 @@ def test_many_strangers_take_no_memory_and_no_log():
     [
         ("127.0.0.1", "127.0.0.1", True),
         ("::1", "::1", True),
-        ("::ffff:127.0.0.1", "::ffff:127.0.0.1", True),  # IPv4 that a socket of IPv6 hears
-        ("10.0.0.5", "10.0.0.5", True),  # this computer, by the address of its card
+        ("::ffff:127.0.0.1", "::ffff:127.0.0.1", True),  # IPv4 as seen by an IPv6 socket
+        ("10.0.0.5", "10.0.0.5", True),  # this computer, by its network address
         ("10.0.0.6", "10.0.0.5", False),
         ("10.1.0.6", "10.0.0.5", True),
         ("::ffff:10.1.0.6", "::ffff:10.0.0.5", True),

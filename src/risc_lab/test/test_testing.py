@@ -18,7 +18,7 @@ from risc_lab.ros.testing import publishers_heard  # noqa: E402
 
 
 def header(**fields):
-    """As TCPROS puts it on the wire."""
+    """TCPROS header, as bytes on the wire."""
     lines = [("%s=%s" % item).encode() for item in fields.items()]
     body = b"".join(struct.pack("<I", len(line)) + line for line in lines)
     return struct.pack("<I", len(body)) + body
@@ -26,7 +26,7 @@ def header(**fields):
 
 @pytest.fixture
 def connections(monkeypatch):
-    """List of the rows that every node tells of its connections."""
+    """List of the rows that every node reports as its connections (getBusInfo)."""
     told = []
     with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as node:
         node.register_function(lambda _caller: [1, "bus info", told], "getBusInfo")

@@ -1,4 +1,4 @@
-"""Periodic work, with a clock of the test's."""
+"""Periodic work, on a simulated clock."""
 
 import threading
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from risc_lab.ros.ticker import Ticker  # noqa: E402
 
 @pytest.fixture(autouse=True)
 def told(monkeypatch):
-    """Errors that were logged; ROS runs."""
+    """Logged errors; ROS is running."""
     errors = []
     monkeypatch.setattr(ticker.rospy, "logerr", errors.append)
     monkeypatch.setattr(ticker.rospy, "on_shutdown", lambda _hook: None)
@@ -22,7 +22,7 @@ def told(monkeypatch):
 
 
 def starts_of(durations_s, monkeypatch, period_s=1.0):
-    """When the calls begin whose work takes so long each."""
+    """Start times [s] of calls whose work takes durations_s."""
     now_s, starts = [0.0], []
     clock = SimpleNamespace(
         monotonic=lambda: now_s[0], sleep=lambda seconds: now_s.__setitem__(0, now_s[0] + max(seconds, 0.0))
@@ -65,7 +65,7 @@ def test_an_exception_is_told_and_the_next_call_comes(told):
     one = Ticker(0.001, work)
     assert done.wait(30.0)
     one.stop()
-    (text,) = told  # the second failure comes too soon to be told
+    (text,) = told  # the second failure comes too soon to be logged
     assert "of the test" in text and "Traceback" in text
 
 

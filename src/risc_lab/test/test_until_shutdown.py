@@ -13,7 +13,7 @@ def closed_topic(*_args):
 
 @pytest.fixture
 def shut_down(monkeypatch):
-    """Call it with whether ROS shuts down."""
+    """Function that sets whether ROS is shutting down."""
 
     def set_to(value):
         monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: value)

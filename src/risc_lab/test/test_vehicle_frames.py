@@ -60,7 +60,7 @@ def test_a_point_goes_through_both_transforms_into_the_camera(angles_rad):
 
 
 def test_the_nominal_camera_is_where_the_original_had_it():
-    """0.21 m in front; of the turn the original had by default, 6.09 degrees of yaw, nothing: it was one vehicle's."""
+    """0.21 m in front, not turned: the original's default of 6.09 degrees of yaw belonged to one vehicle."""
     camera = camera_transform("condor", FRONT_MOUNT)
     assert camera.position_m == (0.21, 0.0, 0.0)
     assert camera.quaternion_xyzw == (0.0, 0.0, 0.0, 1.0)

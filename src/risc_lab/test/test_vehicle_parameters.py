@@ -14,7 +14,7 @@ ARDRONE = load_vehicle_type("ardrone")
 
 
 def vehicle(**overrides):
-    """The only one of a fleet file."""
+    """The only vehicle of a fleet file, with these overrides."""
     place = {"namespace": "risc1", "template": "Raven", "type": "ardrone", "address": "127.0.0.2"}
     entry = {**place, "start": {"position_m": [0, 0, 0]}, "overrides": overrides}
     content = {"name": "test", "mocap": {"host": "127.0.0.1"}, "vehicles": [entry]}
@@ -42,7 +42,7 @@ def test_a_fleet_file_overrides_the_type():
 
 
 def test_the_global_limits_are_the_controllers_and_the_vehicle_nodes(server):
-    """/control_vz_max was the controller's only: the climb of the vehicle node was a fifth of what it wanted."""
+    """/control_vz_max was read by the controller only: a vehicle climbed at a fifth of what the vehicle node wanted."""
     server["/control_vz_max"] = 200
     told = told_vehicle_type(vehicle(), {})
     assert told.climb_max_m_s == pytest.approx(0.2)

@@ -1,7 +1,7 @@
 """From regions of a picture to bearing angles (thesis 4.4.4): undistort, back-project, azimuth and elevation.
 
 Pictures are raw (the lens' distortion is in them) or rectified (image_proc has taken it out: a camera of its own, with
-the projection matrix P of the calibration). Which of the two is always said, never guessed. Needs no ROS.
+the projection matrix P of the calibration). The caller always says which; it is never guessed. Needs no ROS.
 """
 
 from collections import deque
@@ -15,9 +15,9 @@ from risc_lab.lab.calibration import CameraCalibration
 
 # Optical axes (x right, y down, z along the axis) of vectors in camera axes (x along the axis, y right, z down).
 _CAMERA_TO_OPTICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-_RECENT_IMAGES = 16  # that may come late from the other topic
-_EXACT_LASTS_NS = 1_000_000_000  # after exact detections regions are not used for so long, before a bag without goes on
-_ROUND_TRIP_PX = 0.1  # a pixel that is not found again this closely lies where the lens model folds
+_RECENT_IMAGES = 16  # for which a message may still come on the other topic
+_EXACT_LASTS_NS = 1_000_000_000  # regions are ignored for this long after exact detections; then a bag may have none
+_ROUND_TRIP_PX = 0.1  # a pixel whose bearing projects back farther off lies where the lens model folds
 
 
 class Region(NamedTuple):
@@ -70,7 +70,7 @@ class RectifiedCamera(Camera):
 
 
 class ImageSource:
-    """Which topic answers an image: exact detections where an observer sends them, else regions in whole pixels.
+    """Chooses the topic to use for an image: exact detections if an observer sends them, else regions in whole pixels.
 
     Never both for one image, in whichever order they come.
     """
@@ -79,7 +79,7 @@ class ImageSource:
         self._recent_ns = {}  # (observer, exact) -> stamps: exact detections that came, regions that were used
 
     def take(self, observer, stamp_ns, exact):
-        """Whether to answer an image of this stamp from this message. exact: it holds exact detections."""
+        """Whether to use this message for the image of this stamp. exact: it holds exact detections."""
         others_ns = self._recent_ns.get((observer, not exact), ())
         taken = stamp_ns not in others_ns
         if not exact and others_ns:
@@ -117,7 +117,7 @@ def bearings_of_regions(camera, regions):
 def calibration_from_info(info, name):
     """CameraCalibration of a sensor_msgs/CameraInfo (of rospy or of the rosbags library); None if not calibrated.
 
-    name: of the camera, for errors. Raises ValueError when the message says what this workspace does not do.
+    name: of the camera, for errors. Raises ValueError for binning or a region of interest, which are not supported.
     """
     if info.K[0] == 0.0:
         return None

@@ -1,13 +1,14 @@
-"""Which of a body's markers its pose is made of, and whether that pose is believed. No ROS; compiled.
+"""Which of a body's markers its pose is fitted to, and whether that pose is accepted. No ROS; compiled.
 
-A pose of n markers leaves 3 n - 6 degrees of freedom: the squares of their distances from the fitted template, by the
-variance of a coordinate, are chi-square distributed, and misfit when they are so large as one good pose of
-1 / `false_reject_probability` has them. Then the markers are tried without each one, and five or more without each two.
+A pose of n markers leaves 3 n - 6 degrees of freedom: the sum of their squared distances from the fitted template,
+divided by the variance of a coordinate, is chi-square distributed. Above the value that a good pose exceeds with
+`false_reject_probability` it is a misfit. Then the fit is tried without each marker, and of five or more without each
+pair.
 
-Of a body that was seen lately it is known where its markers have to be (`identity`). Its labels are not needed then:
-each of its markers is the one that is nearest to its place. So swapped labels are put right, reflections are left out,
-and markers that have lost their labels are used. Where several sets of markers fit, the pose nearest to the prediction
-counts. Without one nothing tells which of them is right, and the body is refused.
+The places of the markers of a recently seen body are predicted (`identity`). Its labels are not needed then: each
+marker is the one nearest to its predicted place. So swapped labels are corrected, reflections are left out, and markers
+that have lost their labels are used. Where several sets of markers fit, the pose nearest to the prediction is taken.
+Without a prediction nothing tells which of them is right, and the body is refused.
 """
 
 import enum
@@ -37,15 +38,15 @@ FIT = record(
     ("near", PATH),
     ("aside", PATH),
 )
-_PART = 0.4  # of the least distance between two markers of a template: nearer to its place one is that marker
+_PART = 0.4  # of the least distance between two markers of a template: a point this near to a place is its marker
 
 
 @compiled
 def fit_markers(template, measured, used, residuals_m, has_attitude, is_known, fit):
     """Fit the used markers; fills fit.pose. Returns a doubt about it.
 
-    template, measured: (>= n, 3) [m]; used: (n,) bool, three at least; residuals_m: (> n,) largest rms distance of so
-    many markers.  is_known: the pose has to be possible, see `identity.foresee`.  fit: FIT.
+    template, measured: (>= n, 3) [m]; used: (n,) bool, three at least; residuals_m: (> n,) largest rms distance by
+    number of markers.  is_known: the pose has to be possible, see `identity.foresee`.  fit: FIT.
     """
     pose, limits, count = fit.pose, fit.limits, 0
     for i in range(len(used)):
@@ -66,7 +67,7 @@ def fit_markers(template, measured, used, residuals_m, has_attitude, is_known, f
 
 @compiled
 def fit_some_markers(template, measured, used, residuals_m, has_attitude, is_known, fit):
-    """As `fit_markers`; where there is a doubt, without one or two markers, which are taken out of used then."""
+    """As `fit_markers`; if there is a doubt, tries without one or two markers, and removes these from used."""
     doubt, count = fit_markers(template, measured, used, residuals_m, has_attitude, is_known, fit), 0
     for i in range(len(used)):
         if used[i]:
@@ -97,7 +98,7 @@ def fit_some_markers(template, measured, used, residuals_m, has_attitude, is_kno
 
 @compiled
 def _without(template, measured, used, one, two, residuals_m, has_attitude, is_known, fit):
-    """`fit_markers` without these."""
+    """`fit_markers` without markers one and two."""
     used[one] = used[two] = False
     doubt = fit_markers(template, measured, used, residuals_m, has_attitude, is_known, fit)
     used[one] = used[two] = True
@@ -106,16 +107,16 @@ def _without(template, measured, used, one, two, residuals_m, has_attitude, is_k
 
 @compiled
 def is_steady(pose, has_attitude, reach):
-    """Whether the markers of a fit are far enough from one line to give an attitude without those that are left out.
+    """Whether the markers of a fit are far enough from one line to give the attitude without those left out.
 
-    A vehicle that is turned by 180 degrees has some markers where others were: they fit without the rest.
+    After a turn of 180 degrees some markers of a vehicle are where others were: these alone would fit.
     """
     return not has_attitude or reach.noise_m <= STEADY_RAD * pose.spread_m
 
 
 @compiled
 def _has_rival(template, measured, used, first, second, residuals_m, has_attitude, fit):
-    """Whether other markers that fit have the body elsewhere than fit.pose, which is without first and second."""
+    """Whether another subset also fits, with the body elsewhere than fit.pose, which is without first and second."""
     if fit.reach.gate == math.inf:
         return False
     best = fit.best
@@ -150,12 +151,12 @@ def apart_m(template, count, one, other):
 
 @compiled
 def find_markers(template, apart_least_m, markers, seen, loose_m, marker_most_m, fit, measured, used, found):
-    """Find the markers of a body where fit.ahead has them. Returns how many.
+    """Find the markers of a body near the places that fit.ahead predicts. Returns how many were found.
 
-    markers: (k, 3) with its labels [m], of which seen (n,) bool count; loose_m: (u, 3) without labels [m].
+    markers: (k, 3) with its labels [m], of which those seen (n,) bool are used; loose_m: (u, 3) without labels [m].
     apart_least_m: the least distance between two markers of the template [m].
     Fills measured (>= n, 3) in the order of the template, used (n,), and found (>= n,): the index of each in markers
-    and, counted on, in loose_m.
+    followed by loose_m.
     """
     ahead, count, labelled = fit.ahead, 0, min(len(markers), len(seen))
     for i in range(len(used)):

@@ -1,7 +1,7 @@
 """Extended Kalman filter of a vehicle: its equations (thesis 7.8, 4.4.1, corrected). No ROS; compiled.
 
-States (`DIM`): the twelve of `risc_lab.states.S`, then an acceleration along cortex x, y and z that nobody commands:
-thrust, trim, drag and wind that the nominal model does not know.
+States (`DIM`): the twelve of `risc_lab.states.S`, then a disturbance acceleration along cortex x, y and z: thrust,
+trim, drag and wind that the nominal model lacks.
 
 Model, with the command that is in force (what the vehicle settles at: roll c1, pitch c2 [rad], climb loop c3, yaw rate
 c4 [rad/s]):
@@ -12,10 +12,10 @@ c4 [rad/s]):
     x'', y''= (g + a_up) (-tan theta, tan phi / cos theta) turned by psi, less drag, plus d1 and d2
     d'      = -d / tau_d + noise
 
-Where nobody knows the command, and near the floor, where a vehicle may stand, accelerations are noise (`free`).
+Where the command is unknown, and near the floor, where a vehicle may stand, accelerations are noise (`free`).
 
 With the innovation y = z - x[rows] and its covariance S = P[rows, rows] + R = L L^T:  W = L^-1 P[rows],
-x + W^T L^-1 y,  P - W^T W. Angles of y are within half a turn. y^T S^-1 y = |L^-1 y|^2 is chi-square distributed.
+x + W^T L^-1 y,  P - W^T W. Angles in y are wrapped to half a turn. y^T S^-1 y = |L^-1 y|^2 is chi-square distributed.
 """
 
 import math
@@ -29,12 +29,12 @@ from risc_lab.states import AIRBORNE_M, S
 
 DIM = len(S) + 3
 STEP_S = 0.005  # longest step of the prediction
-_KNOWN_S = 0.3  # a command that is older says nothing of what the vehicle does now
+_KNOWN_S = 0.3  # an older command does not tell what the vehicle does now
 _X, _V, _ANGLES, _RATES, _D = 0, 3, 6, 9, 12
 
 # What the filter knows of a body. Noise: densities, [unit/sqrt(Hz)].
 MODEL = record(
-    ("follows", bool),  # commands; else, as of what is no vehicle of the fleet, every acceleration is noise
+    ("follows", bool),  # commands; else (e.g. no vehicle of the fleet) every acceleration is noise
     "roll_1_s2 roll_1_s pitch_1_s2 pitch_1_s yaw_1_s",  # stiffness and damping of the loops
     "climb_gain climb_1_s drag_1_s delay_s",
     "acceleration climb_acceleration roll_noise pitch_noise yaw_noise disturbance disturbance_1_s",
@@ -87,9 +87,9 @@ def jacobian(x, model, command, free, F):
     lift = GRAVITY_M_S2 + model.climb_gain * command[Channel.CLIMB] - model.climb_1_s * x[S.W]
     tan_phi, tan_theta, cos_theta = math.tan(x[S.PHI]), math.tan(x[S.THETA]), math.cos(x[S.THETA])
     cos_psi, sin_psi = math.cos(x[S.PSI]), math.sin(x[S.PSI])
-    forward, right = -tan_theta, tan_phi / cos_theta  # by the lift
-    by_phi = (1.0 + tan_phi * tan_phi) / cos_theta  # of right
-    by_theta = -(1.0 + tan_theta * tan_theta), right * tan_theta  # of forward, of right
+    forward, right = -tan_theta, tan_phi / cos_theta  # per lift
+    by_phi = (1.0 + tan_phi * tan_phi) / cos_theta  # derivative of right
+    by_theta = -(1.0 + tan_theta * tan_theta), right * tan_theta  # derivatives of forward and right
     north, east = cos_psi * forward - sin_psi * right, sin_psi * forward + cos_psi * right
     F[S.U, S.U] = F[S.V, S.V] = -model.drag_1_s
     F[S.U, S.W], F[S.V, S.W], F[S.W, S.W] = -model.climb_1_s * north, model.climb_1_s * east, -model.climb_1_s
@@ -106,7 +106,7 @@ def jacobian(x, model, command, free, F):
 
 @compiled
 def predict(track, stamp_s, model, sent, work):
-    """Bring a TRACK to a later time. sent: HISTORY of what its vehicle was sent."""
+    """Bring a TRACK to a later time. sent: HISTORY of the commands sent to its vehicle."""
     span_s = stamp_s - track.stamp_s
     steps = max(1, int(math.ceil(span_s / STEP_S - 1e-6)))
     dt = span_s / steps
@@ -120,13 +120,13 @@ def predict(track, stamp_s, model, sent, work):
 
 @compiled
 def copy_track(to, track):
-    """A TRACK into another one."""
+    """Copy a TRACK into another one."""
     to.stamp_s, to.surprise[:], to.x[:], to.P[:, :] = track.stamp_s, track.surprise, track.x, track.P
 
 
 @compiled
 def push(track, m_s2, for_s):
-    """Something unknown may have pushed a TRACK along each axis for so long, and go on. m_s2: 1 sigma."""
+    """Add the uncertainty of an unknown push along each axis in the last for_s, which may go on. m_s2: 1 sigma."""
     variance = m_s2 * m_s2
     for k in range(3):
         by = 0.5 * for_s * for_s, for_s, 1.0
@@ -138,7 +138,7 @@ def push(track, m_s2, for_s):
 
 @compiled
 def _is_free(x, time_s, k, model, sent):
-    """Whether a body moves in an unknown way. time_s: when a command is sent that is in force now; k: of that one."""
+    """Whether the motion of a body is unknown. time_s: when a command that acts now was sent; k: of that command."""
     return not model.follows or not time_s - sent.times_s[k % ROWS] < _KNOWN_S or x[S.Z] < AIRBORNE_M
 
 
@@ -205,7 +205,7 @@ def _step(x, P, model, command, free, dt, work):
 
 @compiled
 def _add_noise(P, i, j, density, dt):
-    """Of a white second derivative of state i, whose rate is state j > i; above the diagonal."""
+    """Add the noise of a white second derivative of state i, whose rate is state j > i; above the diagonal."""
     q = density * density * dt
     P[i, i] += q * dt * dt / 3.0
     P[i, j] += q * dt / 2.0
@@ -216,7 +216,7 @@ def _add_noise(P, i, j, density, dt):
 def innovate(track, z, R, rows, first, count, work):
     """|L^-1 y|^2 of entries first to first + count of a measurement z with covariance R; fills work.
 
-    rows: of each entry of z, the state that it measures.  Not a number when S is not positive definite.
+    rows: the state that each entry of z measures.  NaN when S is not positive definite.
     """
     L, y, square = work.L, work.y, 0.0
     for i in range(count):
@@ -239,7 +239,7 @@ def innovate(track, z, R, rows, first, count, work):
 
 @compiled
 def correct(track, rows, first, count, work):
-    """Take the entries that `innovate` has looked at."""
+    """Correct a TRACK with the entries that `innovate` was called for."""
     L, W, y, P = work.L, work.W, work.y, track.P
     for i in range(count):
         for j in range(DIM):

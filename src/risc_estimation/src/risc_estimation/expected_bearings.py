@@ -40,7 +40,7 @@ class Observer:
 
 
 class Sighting(NamedTuple):
-    """One object in one picture, as it should be."""
+    """Expected view of one object in one picture."""
 
     name: str
     kind: str  # LANDMARK or VEHICLE
@@ -109,7 +109,7 @@ def look(observer, position_m, R_body_to_cortex, targets):
 
 class _Shape(NamedTuple):
     points_m: np.ndarray  # (n, 3) first the centre
-    outline: slice  # which of them it is
+    outline: slice  # which of them are the outline
     core: slice  # those that the least diameter is taken from: the disc in the middle, or the hull
     obliqueness_rad: float
 
@@ -181,7 +181,7 @@ def _cut(outline_px, camera):
     inside, cut = cv2.intersectConvexConvex(hull, picture)
     if inside <= 0.0 or cut is None:
         return nothing, 0.0
-    # what lies behind the camera has no pixels: of an outline that is partly there, the known part counts
+    # points behind the camera have no pixels: of an outline that is partly there, the rest counts
     return cut[:, 0].astype(float), float(min(1.0, inside / area) * finite.mean())
 
 

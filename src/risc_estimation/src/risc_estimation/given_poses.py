@@ -1,4 +1,4 @@
-"""Raw poses that were fitted by another program, as a filter is given them. Needs no ROS."""
+"""Raw poses that another program fitted, in the form that filters take. Needs no ROS."""
 
 import math
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from risc_lab.frames import euler_of_body_in_cortex
 
 
 class PoseFrame(NamedTuple):
-    """Raw poses of one frame, a row a body in any order. Cortex frame, SI units; as `risc_maap_msgs/BodyPose`."""
+    """Raw poses of one frame, one row per body in any order. Cortex frame, SI units; as `risc_maap_msgs/BodyPose`."""
 
     names: tuple[str, ...]
     present: np.ndarray  # (n,) bool: the frame gave a pose; False: the rest of the row means nothing
@@ -24,7 +24,7 @@ class PoseFrame(NamedTuple):
 
 
 class GivenPoses:
-    """What `pose_fit.Poses` is, filled frame by frame with a `PoseFrame`. Rows: bodies in the order of `add`."""
+    """Counterpart of `pose_fit.Poses`, filled from a `PoseFrame` per frame. Rows: bodies in the order of `add`."""
 
     def __init__(self):
         self.stamp_s, self.names = -math.inf, ()
@@ -32,7 +32,7 @@ class GivenPoses:
         self.stamps_s, self.residual_m = np.zeros(0), np.zeros(0)
         self.rotation, self._covariances = np.zeros((0, 3, 3)), np.zeros((0, 6, 6))
         self._has_attitude = np.zeros(0, dtype=bool)  # not of an attached body
-        self._plan = None  # names of the newest frame, rows of ours that are in it, where they are there
+        self._plan = None  # names of the newest frame, our rows that are in it, their rows in it
         _fill_angles(self.rotation, self.flags[0], self.measured[1])  # loads what is compiled
 
     @property
@@ -47,12 +47,12 @@ class GivenPoses:
 
     @property
     def position_m(self):
-        """(n, 3) of the template's origin [m]."""
+        """(n, 3) position of the template's origin [m]."""
         return self.measured[0]
 
     @property
     def angles_rad(self):
-        """(n, 3) roll, pitch, yaw [rad] without jumps of whole turns; 0 of what is attached."""
+        """(n, 3) roll, pitch, yaw [rad], unwrapped; 0 for attached bodies."""
         return self.measured[1]
 
     def covariances(self):
@@ -60,7 +60,7 @@ class GivenPoses:
         return self._covariances.copy()
 
     def add(self, name, has_attitude):
-        """A row for one more body. has_attitude: not of an attached one, whose attitude means nothing."""
+        """Add a row for a body. has_attitude: False for an attached body, whose attitude means nothing."""
         self.names += (name,)
         self._has_attitude = np.append(self._has_attitude, has_attitude)
         self.flags, self.measured = with_row(self.flags, 1), with_row(self.measured, 1)
@@ -70,11 +70,11 @@ class GivenPoses:
         self._plan = None
 
     def take(self, stamp_s, frame):
-        """Have these poses of a time [s], a PoseFrame; of bodies without a row: nothing. A body that is not in it, or
-        of which a number is not finite, is not present.
+        """Take the poses of one frame (PoseFrame), exposed at stamp_s [s]. Bodies without a row are ignored. A body is
+        not present if it is not in the frame, or if one of its numbers is not finite.
         """
         if self._plan is None or frame.names != self._plan[0]:
-            # of two of a name the first counts
+            # of two with the same name the first counts
             at = {name: row for row, name in reversed(list(enumerate(frame.names)))}
             pairs = [(row, at[name]) for row, name in enumerate(self.names) if name in at]
             self._plan = frame.names, *np.array(pairs, dtype=np.intp).reshape(-1, 2).T
@@ -97,7 +97,7 @@ class GivenPoses:
 
 @compiled
 def _fill_angles(rotations, present, angles_rad):
-    """Fill angles (n, 3) of those that are present, within half a turn of what they were."""
+    """Fill angles (n, 3) of the bodies that are present, within half a turn of the previous ones."""
     for i in range(len(present)):
         if present[i]:
             angles = euler_of_body_in_cortex(rotations[i])

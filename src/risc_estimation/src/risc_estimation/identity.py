@@ -1,20 +1,20 @@
-"""Whether a body can have come to a pose since it was seen: tracks of raw poses, one frame after the other. No ROS.
+"""Whether a body can have moved to a pose since it was last seen: tracks of raw poses, frame by frame. No ROS.
 
-A track is a position and an attitude with their rates, filtered with a fading memory of `_MEMORY_S` (gains a and b of
-position and velocity: 1 - k^2 and (1 - k)^2 for k = exp(-step / memory), larger after its beginning, as those of a line
-through all of its poses). In the time T to the next frame it goes on with the same rates. The next pose is where the
-track leads, but for
+A track is a position and an attitude with their rates, filtered with a fading memory of `_MEMORY_S` (gains of position
+and velocity: 1 - k^2 and (1 - k)^2 for k = exp(-step / memory), larger at the beginning, where they are those of a line
+through all poses of the track). Over the time T to the next frame it is extrapolated with constant rates. The next pose
+is at the prediction, except for
 
-    noise      of the pose and of the track, whose variances go through the same gains, and
-    reach      how far an acceleration within the limits, the same one all the time, can have taken the body from where
-               a filter that knows nothing of it believes it: off_m and off_m_s go through the same gains, too, since
-               the filter is linear. T^2/2 times the acceleration are added, as long as rates are within their limits.
+    noise      of the pose and of the track, whose variances are propagated with the same gains, and
+    reach      how far a constant acceleration within the limits can have taken the body from the estimate of a filter
+               that does not know of it: off_m and off_m_s are propagated with the same gains, too, since the filter is
+               linear. T^2/2 times the acceleration is added, as long as rates are within their limits.
 
-A pose that is farther off contradicts. It begins a candidate. Later poses that go on from there contradict, too, also
-when the reach has grown so far: for them it grows for `_GROW_S` only. When the candidate is as old as the track was, or
-after memory_s, it takes the place of the track. The track that was replaced is remembered: a pose that agrees with it
-is where the body was all the time. Nothing contradicts a track that is older than memory_s: no body is locked out for
-longer.
+A pose that is farther off contradicts the track. It starts a candidate. Later poses that continue the candidate also
+contradict, even when the reach has grown enough to include them: for them it grows for `_GROW_S` only. When the
+candidate is as old as the track was, or after memory_s, it replaces the track. The replaced track is remembered: a pose
+that agrees with it shows that the body was there all the time. Nothing contradicts a track that is older than memory_s:
+no body is locked out for longer.
 """
 
 import math
@@ -22,9 +22,9 @@ import math
 from risc_lab.compiled import compiled, record
 
 _MEMORY_S = 0.015  # three frames at 200 Hz: an acceleration puts the prediction off by 0.4 mm for each m/s^2
-STEADY_RAD = 0.02  # 1 sigma of an attitude: one that is worse says less of where the body has to be
+STEADY_RAD = 0.02  # 1 sigma of an attitude; a less accurate one gets less weight in the track
 _GROW_S = 0.05  # as in risc_control.plausibility
-_REMEMBERED = 10.0  # so many times memory_s a track that was replaced may come back
+_REMEMBERED = 10.0  # times memory_s: for this long a replaced track may come back
 TRACK, CANDIDATE, FORMER = range(3)  # of each body
 
 # What a body can do: parameters of `pose_fit.PoseFitParams`.
@@ -45,7 +45,7 @@ PATH = record(
 
 @compiled
 def begin(path, stamp_s, pose, reach):
-    """A new PATH with a POSE (`rigid_fit`) alone: its rates are not known, but for their limits."""
+    """Start a PATH with a single POSE (`rigid_fit`): only the limits of its rates are known."""
     path.lives, path.poses, path.begun_s, path.stamp_s = True, 1, stamp_s, stamp_s
     path.rotation[:, :] = pose.rotation
     for axis in range(3):
@@ -57,7 +57,7 @@ def begin(path, stamp_s, pose, reach):
 
 @compiled
 def predict(path, stamp_s, reach, ahead):
-    """Fill ahead (PATH) with where a path leads at another time."""
+    """Fill ahead (PATH) with the prediction of a path for another time."""
     step_s = stamp_s - path.stamp_s
     span_s, ahead.stamp_s = abs(step_s), stamp_s
     rate = path.rate_rad_s
@@ -75,7 +75,7 @@ def predict(path, stamp_s, reach, ahead):
 
 @compiled
 def foresee(paths, stamp_s, reach, ahead, near, aside):
-    """Fill where the track of a known body leads: ahead, near (the same with less reach), and aside: its candidate."""
+    """Predict a known body: fill ahead (its track), near (the track with less reach) and aside (its candidate)."""
     track, candidate = paths[TRACK], paths[CANDIDATE]
     predict(track, stamp_s, reach, ahead)
     aside.lives = candidate.lives and 0.0 < stamp_s - candidate.stamp_s <= reach.memory_s
@@ -87,7 +87,7 @@ def foresee(paths, stamp_s, reach, ahead, near, aside):
 
 @compiled
 def is_possible(ahead, near, aside, pose, count, has_attitude, reach):
-    """Whether a POSE of so many markers is one to which a known body can have come. See `foresee`."""
+    """Whether a known body can have moved to a POSE fitted to count markers. See `foresee`."""
     if not agrees(ahead, pose, count, has_attitude, reach):
         return False
     return (
@@ -99,16 +99,16 @@ def is_possible(ahead, near, aside, pose, count, has_attitude, reach):
 
 @compiled
 def marker_noise_m(ahead, reach):
-    """How far noise may put a marker from where a prediction has it [m]; that of the prediction is part of it."""
+    """Largest distance of a marker from its predicted place by noise [m], that of the prediction included."""
     return reach.gate * reach.noise_m * math.sqrt(1.0 + ahead.variance)
 
 
 @compiled
 def agrees(ahead, pose, count, has_attitude, reach):
-    """Whether a POSE of so many markers is one to which a body can have come that was predicted to be at `ahead`.
+    """Whether a body that is predicted to be at `ahead` can have moved to a POSE fitted to count markers.
 
-    1 sigma of a position is that of a marker by the root of their number, of an attitude that of a marker by the second
-    principal extent of the markers, or less.
+    1 sigma of a position is that of a marker divided by the root of their number; of an attitude, that of a marker
+    divided by the second principal extent of the markers, or less.
     """
     square, noise_m = 0.0, marker_noise_m(ahead, reach)
     for axis in range(3):
@@ -122,14 +122,14 @@ def agrees(ahead, pose, count, has_attitude, reach):
     for row in range(3):
         for column in range(3):
             trace += pose.rotation[row, column] * ahead.rotation[row, column]
-    half_sine = 0.5 * math.sqrt(max(3.0 - trace, 0.0))  # of half of the angle between them
+    half_sine = 0.5 * math.sqrt(max(3.0 - trace, 0.0))  # of half the angle between the attitudes
     most_rad = noise_m / pose.spread_m + ahead.off_rad
     return math.pi * half_sine <= most_rad or 2.0 * math.asin(min(half_sine, 1.0)) <= most_rad  # mostly the first
 
 
 @compiled
 def follow(path, ahead, pose, reach):
-    """Take a POSE into a path. ahead: what `predict` has filled for its time, which is later than that of the path."""
+    """Update a path with a POSE. ahead: prediction for the time of the pose, which is later than that of the path."""
     step_s, path.poses = ahead.stamp_s - path.stamp_s, path.poses + 1
     n, kept = float(path.poses), math.exp(-step_s / _MEMORY_S)
     line = 2.0 / (n * (n + 1.0))
@@ -169,15 +169,15 @@ def follow(path, ahead, pose, reach):
 
 @compiled
 def is_known(paths, stamp_s, reach):
-    """Whether a body was seen so lately that its pose can contradict. paths: (3,) PATH."""
+    """Whether a body was seen recently enough for a pose to contradict its track. paths: (3,) PATH."""
     return paths[TRACK].lives and abs(stamp_s - paths[TRACK].stamp_s) <= reach.memory_s
 
 
 @compiled
 def go_on(paths, stamp_s, pose, count, has_attitude, reach, ahead):
-    """A POSE of a body that is not known, or one that its track agrees with, is believed: its track goes on.
+    """Accept a POSE of a body that is not known, or one that agrees with its track, and continue the track.
 
-    ahead: filled for this time from the track if that is known; else overwritten.
+    ahead: prediction of the track for this time if the body is known; else overwritten.
     """
     if is_known(paths, stamp_s, reach):
         if stamp_s > paths[TRACK].stamp_s:  # else it is late
@@ -191,12 +191,12 @@ def go_on(paths, stamp_s, pose, count, has_attitude, reach, ahead):
             _replace(paths, reach)
             return
     begin(paths[TRACK], stamp_s, pose, reach)
-    paths[CANDIDATE].lives = paths[FORMER].lives = False  # it was out of sight: they mean nothing any more
+    paths[CANDIDATE].lives = paths[FORMER].lives = False  # it was out of sight: these are outdated
 
 
 @compiled
 def contradict(paths, stamp_s, pose, count, has_attitude, reach, ahead):
-    """A POSE contradicts the track of a known body. Returns whether it is believed all the same; overwrites ahead."""
+    """Handle a POSE that contradicts the track of a known body. True if it is accepted anyway. Overwrites ahead."""
     if stamp_s <= paths[TRACK].stamp_s:
         return False
     former, candidate = paths[FORMER], paths[CANDIDATE]
@@ -214,7 +214,7 @@ def contradict(paths, stamp_s, pose, count, has_attitude, reach, ahead):
         if agrees(ahead, pose, count, has_attitude, reach):
             follow(candidate, ahead, pose, reach)
             if stamp_s - candidate.begun_s < paths[TRACK].stamp_s - paths[TRACK].begun_s:
-                return False  # memory_s is the limit, too: then the body is not known any more
+                return False  # until memory_s at most: then the body is not known any more
             _replace(paths, reach)
             return True
     begin(candidate, stamp_s, pose, reach)
@@ -223,7 +223,7 @@ def contradict(paths, stamp_s, pose, count, has_attitude, reach, ahead):
 
 @compiled
 def _replace(paths, reach):
-    """The candidate becomes the track, and that the former one if it was old enough to be worth it."""
+    """Make the candidate the track, and the old track the former one if it had lasted for memory_s."""
     track = paths[TRACK]
     if track.lives and track.stamp_s - track.begun_s >= reach.memory_s:
         paths[FORMER] = paths[TRACK]

@@ -9,7 +9,7 @@ _LEARNING_GAIN = 0.02  # per frame in full view: averages the markers' noise ove
 LANDMARK = record(
     ("markers", int),  # that it has
     ("learnt", bool),  # it has been in full view
-    ("first", int),  # its markers in those of the frame
+    ("first", int),  # index in the frame of its first marker; count: their number
     ("count", int),
 )
 

@@ -20,19 +20,19 @@ import numpy as np
 from risc_lab.compiled import compiled, record, with_row
 
 MAX_ORDER = 4
-# Weights are reused while the stamps sit this well on the pattern that the weights were made for. At 1 m/s the
+# Weights are reused while the stamps match the pattern that they were made for this closely. At 1 m/s the
 # velocity is off by 0.4 mm/s then (parabola, 50 samples at 200 Hz): a twentieth of the noise of 2 mm markers.
 UNIFORM_TOLERANCE_S = 50e-6
-_DISTINCT = 1e-12  # share of a moment that must be left after the lower orders, or the times are not distinct
+_DISTINCT = 1e-12  # a pivot below this part of its moment: the times of the samples are not distinct
 
 FIT = record(
     ("window_s", float),
-    ("ramp_s", float),  # a line is fitted to what spans less
+    ("ramp_s", float),  # a line is fitted to samples that span less
     ("max_gap_s", float),
     ("order", int),
     ("capacity", int),  # samples
     ("frames", int),  # pushed so far
-    ("weighed", int),  # samples that the shared weights are for; 0 = none
+    ("weighed", int),  # number of samples that the shared weights are for; 0 = none
     ("samples", int),  # of the fit,
     ("span_s", float),  # from the oldest to the newest of them
     ("moments", float, (2 * MAX_ORDER + 1,)),  # sums of the powers of the scaled times
@@ -48,7 +48,8 @@ BODY = record(
 
 
 class Window(NamedTuple):
-    """Samples of all bodies and what was last estimated from them. Of `Windows`: a first axis more, the windows.
+    """Samples of all bodies and what was last estimated from them. Arrays of `Windows` have one more
+    axis, the first: the windows.
 
     A ring of `capacity` samples. Each is held twice, `capacity` apart, so that the newest ones are one stretch.
     """
@@ -58,7 +59,8 @@ class Window(NamedTuple):
     stamps_s: np.ndarray  # (2 capacity,)
     present: np.ndarray  # (bodies, 2 capacity) bool
     values: np.ndarray  # (bodies, 2 capacity, channels) [unit]
-    # (5, capacity) shared weights: ages that they are for [s], for the value, for the slope [1/s]; the same of one body
+    # (5, capacity): ages [s] that the shared weights are for, shared weights for value and slope [1/s], the same two of
+    # one body
     weights: np.ndarray
     estimates: np.ndarray  # (bodies, 2, channels) value [unit], slope [unit/s]
 
@@ -67,7 +69,7 @@ _OF_BODIES = ("bodies", "present", "values", "estimates")  # with an axis of bod
 
 
 class Windows:
-    """Value and slope of many channels of many bodies, all sampled by the same frames, through several windows.
+    """Values and slopes of many channels of many bodies, all sampled by the same frames, through several windows.
 
     A body may miss a frame (its other samples still count, at their own times); after more than `max_gap_s`
     without a sample its window starts afresh, so that no estimate ever spans a gap. While a body's window is
@@ -111,8 +113,8 @@ class Windows:
 def push_samples(window, stamp_s, values, present, anew):
     """Add one frame at stamp_s [s], later than the frame before.
 
-    values: (bodies, channels) [unit]; present: (bodies,) bool: who has a sample, the values of others are ignored;
-    anew: (bodies,) bool: whose window starts afresh with it.
+    values: (bodies, channels) [unit]; present: (bodies,) bool: the body has a sample, else its values are ignored;
+    anew: (bodies,) bool: its window starts afresh with this frame.
     """
     fit = window.fit[0]
     slot = fit.frames % fit.capacity
@@ -139,10 +141,10 @@ def estimate_newest(window, wanted):
     """Fit the bodies that are wanted ((bodies,) bool) at the newest frame, in which each of them has a sample.
 
     Fills window.estimates, and samples and span_s of window.bodies. Bodies that have every sample of the window share
-    their weights; where one that is wanted misses some, each has weights of its own.
+    their weights; when a wanted body misses any, each body gets weights of its own.
     """
     start, end = _newest_stretch(window)
-    complete = wanted.any()  # without a body nothing is weighed, so nothing may be noted as weighed
+    complete = wanted.any()  # without a body no weights are computed, so none may be recorded
     for i in range(len(wanted)):
         if wanted[i] and window.bodies[i].gapless < end - start:
             complete = False
@@ -184,7 +186,7 @@ def _newest_stretch(window):
 
 @compiled
 def _are_weighed(window, start, end):
-    """Whether the shared weights are for this pattern of stamps; else notes that they will be."""
+    """Whether the shared weights are for this pattern of stamps; if not, records it: they are computed next."""
     fit = window.fit[0]
     samples, newest_s = end - start, window.stamps_s[end - 1]
     known = fit.weighed == samples
@@ -237,7 +239,7 @@ def _solve(fit, order):
     """Polynomials whose values at the samples' times are the weights; False if the normal equations are singular.
 
     The value is coefficient 0 of the fitted polynomial, the slope coefficient 1 over the scale of time: rows 0 and 1 of
-    the inverse of the normal equations. Gauss' elimination; the matrix is positive definite, so it needs no pivoting.
+    the inverse of the normal equations. Gaussian elimination; the matrix is positive definite, so it needs no pivoting.
     """
     A, x = fit.normal, fit.polynomials
     for j in range(order + 1):

@@ -14,12 +14,12 @@ the camera's axes, R = R_start Exp(delta).
 
 Wrong bearings (false detections, mistaken identities) must not count. Cauchy's loss with a falling scale finds the
 mount that most bearings agree on, from far away; then those that are not within `gate` standard deviations are left
-out and the rest is fitted by plain least squares. A weak prior (`prior_m`, `prior_deg`) leaves what the views do not
-tell where it was.
+out and the rest is fitted by plain least squares. A weak prior (`prior_m`, `prior_deg`) keeps values that the views do
+not determine near the start.
 
 Covariance: sigma^2 (J^T J)^-1 of the bearings that counted, without the prior; sigma is what their residuals show, at
-least `noise_deg`. It takes errors as independent: a stamp that is always late or a marker template that is turned
-moves the mount by more, and no number here would say so.
+least `noise_deg`. It assumes independent errors: a constant delay of the stamps or a rotated marker template moves the
+mount by more, and no number here shows it.
 """
 
 import math
@@ -37,24 +37,24 @@ from risc_lab.settings import Positive, Settings, between
 
 VALUES = ("x", "y", "z", "roll", "pitch", "yaw")  # position: body axes; turns: about the camera's own axes
 _SCALES_DEG = (20.0, 5.0, 1.0)  # of Cauchy's loss, one after the other
-_GATINGS = 3  # how often the wrong ones are chosen afresh
-_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of two normal deviates
+_GATINGS = 3  # rounds of leaving out wrong bearings and fitting again
+_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # median length of a vector of two normal deviates
 _TINY = 1e-9
-_SINGULAR = 1e-6  # share of the greatest singular value that is rounding
+_SINGULAR = 1e-6  # singular values below this part of the greatest are rounding
 
 
 @dataclass(frozen=True)
 class FitParams(Settings):
-    """Settings of the fit: parameters of transform_tuner of risc_visual, too."""
+    """Settings of the fit; also parameters of transform_tuner of risc_visual."""
 
     noise_deg: Positive = 0.1  # least standard deviation of a bearing, along each of its two axes
     gate: Positive = 4.0  # [standard deviations] bearings farther from the fit than this are wrong
-    wrong_max: between(0.01, 0.99) = 0.35  # share of wrong bearings not worth a warning, and that passes the check
+    wrong_max: between(0.01, 0.99) = 0.35  # largest share of wrong bearings without a warning, and to pass the check
     std_max_m: Positive = 0.01  # greatest standard deviation of a position that counts as known, and
     std_max_deg: Positive = 0.2  # of an angle
     prior_m: Positive = 0.3  # standard deviation of the mount before anything was seen
     prior_deg: Positive = 30.0
-    samples_min: between(6, 10**6) = 30  # bearings without which there is no fit
+    samples_min: between(6, 10**6) = 30  # least number of bearings for a fit
 
 
 class Samples(NamedTuple):
@@ -66,7 +66,7 @@ class Samples(NamedTuple):
     rays: np.ndarray  # (n, 3) unit vectors in camera axes, as measured
 
     def take(self, rows):
-        """Those of a boolean mask or of indices."""
+        """Samples selected by a boolean mask or by indices."""
         return Samples(*(values[rows] for values in self))
 
 
@@ -74,12 +74,12 @@ class Misses(NamedTuple):
     """By how much rays miss their landmarks."""
 
     right: np.ndarray  # (n,) bool: bearings that count; the others are too far off to be believed
-    rms_rad: float  # of the angles between rays and landmarks, of those that count; NaN: none does
-    rms_px: float  # the same in the picture; NaN: none does, or the camera is not known
+    rms_rad: float  # of the angles between rays and landmarks, over the bearings that count; NaN: none
+    rms_px: float  # the same in the picture; NaN: none counts, or the camera is not known
 
     @property
     def wrong_share(self):
-        """Of all bearings; 0 if there are none."""
+        """Share of wrong bearings; 0 if there are no bearings."""
         return 1.0 - self.right.mean() if self.right.size else 0.0
 
     def __str__(self):
@@ -89,7 +89,7 @@ class Misses(NamedTuple):
 
 
 class MountFit(NamedTuple):
-    """What the bearings say of a mount."""
+    """A mount fitted to bearings."""
 
     mount: CameraMount
     misses: Misses
@@ -116,7 +116,7 @@ def fit_mount(samples, start, params=None, camera=None):
         x = _solve(samples.take(right), start, params, x)
     mount = _mount(start, x)
     found = misses(samples, mount, params, camera)
-    # two axes a bearing, six values are taken from them
+    # degrees of freedom: two per bearing, less the six fitted values
     count = int(found.right.sum())
     noise_rad = found.rms_rad * math.sqrt(count / max(2 * count - len(VALUES), 1))
     std = standard_deviations(samples.take(found.right), mount, params, noise_rad)
@@ -130,7 +130,7 @@ def fit_mount(samples, start, params=None, camera=None):
 
 
 def misses(samples, mount, params, camera=None):
-    """Misses of Samples with a mount. camera: risc_lab.camera.Camera of their pictures, for those in pixels."""
+    """Misses of Samples with a mount. camera: risc_lab.camera.Camera of their pictures, for rms_px."""
     errors = ray_errors(samples, mount)
     right = right_ones(errors, params)
     errors_px = pixel_errors(samples.take(right), mount, camera) if camera is not None and right.any() else ()
@@ -149,7 +149,7 @@ def ray_errors(samples, mount):
 
 
 def pixel_errors(samples, mount, camera):
-    """Distances (n,) [px] in the picture between each landmark as seen and as it should be; NaN where it cannot be.
+    """Distances (n,) [px] in the picture between where each landmark is seen and should be; NaN where it has no pixel.
 
     camera: risc_lab.camera.Camera of the pictures that the bearings were taken from.
     """
@@ -158,7 +158,7 @@ def pixel_errors(samples, mount, camera):
 
 
 def right_ones(errors_rad, params):
-    """(n,) bool: which errors fit the others. Half of them must be right; their own spread says how far that is."""
+    """(n,) bool: which errors are no outliers. At least half must be right; the limit is scaled by their median."""
     if not len(errors_rad):
         return np.zeros(0, dtype=bool)
     noise_rad = max(np.median(errors_rad) / _RAYLEIGH_MEDIAN, math.radians(params.noise_deg))
@@ -166,18 +166,18 @@ def right_ones(errors_rad, params):
 
 
 def root_mean_square(values):
-    """Of the finite ones; NaN if there are none."""
+    """Root mean square of the finite values; NaN if there are none."""
     finite = np.asarray(values)[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan
 
 
 def standard_deviations(samples, mount, params, noise_rad=0.0):
-    """Standard deviations (6,) of a mount, as VALUES [m, rad], that such views allow; inf where they tell nothing.
+    """Standard deviations (6,) of a mount from such views, as VALUES [m, rad]; inf where they determine nothing.
 
     noise_rad: of a bearing along each axis; at least params.noise_deg is assumed.
     """
     J = approx_fprime(np.zeros(6), lambda x: _residuals(samples, mount, x)).reshape(-1, 6)
-    units = _limits(params)  # in these metres and radians are comparable
+    units = _limits(params)  # scaled by these, metres and radians are comparable
     _, strengths, axes = np.linalg.svd(J * units, full_matrices=False)
     noise_rad = max(noise_rad, math.radians(params.noise_deg))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -188,7 +188,7 @@ def standard_deviations(samples, mount, params, noise_rad=0.0):
 
 
 def weak_values(std, params):
-    """Sentences on what is known less well than it should be. std: (6,), from `standard_deviations`."""
+    """Sentences on values that are known less well than they should be. std: (6,), from `standard_deviations`."""
     weak = []
     for name, value, limit in zip(VALUES, std, _limits(params)):
         if value > limit:
@@ -203,7 +203,7 @@ def weak_values(std, params):
 
 
 def _solve(samples, start, params, x, **robust):
-    """x = (t - t_start, delta) at the least cost, from x on. robust: loss and scale of `least_squares`."""
+    """x = (t - t_start, delta) of least cost, starting from x. robust: loss and scale of `least_squares`."""
     # the prior counts as one bearing along each value
     prior = math.radians(params.noise_deg) / np.repeat((params.prior_m, math.radians(params.prior_deg)), 3)
     return least_squares(lambda x: np.append(_residuals(samples, start, x), prior * x), x, "3-point", **robust).x

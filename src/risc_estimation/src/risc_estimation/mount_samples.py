@@ -1,7 +1,7 @@
-"""What one camera saw of the landmarks in the last while, put together for fitting its mount. Needs no ROS.
+"""Recent bearings of landmarks from one camera, combined with poses for fitting its mount. Needs no ROS.
 
-Of every `held_out_every` seconds the last one is kept aside: a mount is solved on the others and checked on these,
-which had no say in it. Seconds, not single bearings, since neighbouring pictures have the same errors.
+The last of every `held_out_every` seconds is held out: a mount is solved on the others and checked on these. Whole
+seconds, not single bearings, since neighbouring pictures have the same errors.
 """
 
 from collections import Counter, deque
@@ -18,10 +18,10 @@ from risc_lab.settings import Positive, Settings, between
 
 @dataclass(frozen=True)
 class WindowParams(Settings):
-    """Settings of the window: parameters of transform_tuner of risc_visual, too."""
+    """Settings of the window; also parameters of transform_tuner of risc_visual."""
 
     window_s: Positive = 60.0  # how far back it reaches
-    held_out_every: between(2, 1000) = 3  # [s] of so many seconds one is kept for checking
+    held_out_every: between(2, 1000) = 3  # [s] one second of this many is held out for checking
     late_max_s: Positive = 10.0  # how long bearings wait for their poses, and poses for their bearings
 
 
@@ -38,7 +38,7 @@ class BearingWindow:
         self._newest_s = -np.inf
 
     def restart(self):
-        """Forget every bearing: what comes from now on is recorded."""
+        """Forget every bearing, and record from now on."""
         self._forget()
         self.refused.clear()
 
@@ -51,7 +51,7 @@ class BearingWindow:
         self._places.update({name: np.array(place) for name, place in places.items() if np.all(np.isfinite(place))})
 
     def see_pose(self, stamp_s, position_m, euler_rad):
-        """The vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Only while it is seen."""
+        """Take the vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Call it only while the vehicle is seen."""
         if self._track.append(stamp_s, position_m, euler_rad) is Step.NEW_CLOCK:
             self._forget()
             self._newest_s = -np.inf
@@ -85,7 +85,7 @@ class BearingWindow:
         return everything.take(~aside), everything.take(aside)
 
     def latest(self, duration_s):
-        """Samples of the last so many seconds."""
+        """Samples of the last duration_s [s]."""
         return self._samples([row for row in self._rows if row[0] >= self._newest_s - duration_s])
 
     def _advance(self, stamp_s):
@@ -94,7 +94,7 @@ class BearingWindow:
             self._rows.popleft()
 
     def _place(self):
-        """Give the waiting bearings their poses, as far as they are known."""
+        """Join the waiting bearings with their poses, where these are known."""
         last_s = self._track.last_stamp_s
         ready = []
         while self._waiting and last_s is not None and self._waiting[0][0] <= last_s:

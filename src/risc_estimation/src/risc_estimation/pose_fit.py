@@ -1,12 +1,12 @@
-"""From markers to poses: every known body of a frame is fitted, and what is not believed is refused (thesis 4.2, 4.3).
+"""From markers to poses: every known body of a frame is fitted, and implausible poses are refused (thesis 4.2, 4.3).
 
-The first stage of `state_estimator`. Poses are not smoothed. What is known of the frames before: where a body has to be
-that was seen lately (`identity`), whose markers it has if names were exchanged, the whole turns of its angles. What a
-pose is made of is chosen in `body_fit`. The second stage is a filter, see risc_estimation/filters.
+The first stage of `state_estimator`; the second is a filter, see risc_estimation/filters. Poses are not smoothed. Kept
+from earlier frames: the tracks of recently seen bodies (`identity`), whose markers a body uses if names were exchanged,
+and the whole turns of its angles. `body_fit` chooses the markers that a pose is fitted to.
 
-Bodies that contradict where they were are compared with each other's markers, all of a frame at once: each gets the
-markers that fit where it has to be. It keeps them while it is seen, whatever their name is. A body that is not known
-has those of its name again, as soon as no other body has them.
+When bodies contradict their tracks, each is compared with the markers of the others, all bodies of a frame at once, and
+gets the markers that fit its predicted pose. It keeps them while it is seen, whatever name they have. A body that has
+not been seen for memory_s gets the markers of its own name back, as soon as no recently seen body uses them.
 """
 
 import math
@@ -42,32 +42,32 @@ from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_lab.settings import NotNegative, Positive, Settings, between
 
-_CLEAR = 0.5  # markers belong to a body when they are nearer to it than that part of what any others are
+_CLEAR = 0.5  # markers are given to a body only if their distance is below this fraction of that of any alternative
 
 
 @dataclass(frozen=True)
 class PoseFitParams(Settings):
-    """Which markers and poses are believed: parameters of states_estimation.py, too."""
+    """Which markers and poses are accepted; also parameters of states_estimation.py."""
 
     marker_limit_m: Positive = 100.0  # [m] larger coordinates mean a lost marker (9999.999 m in bags of the original)
-    marker_noise_m: NotNegative = 0.002  # [m] 1 sigma of a coordinate of a marker; 0: from each fit's residual
-    # [m] the same of its place on the body as the template says it: of calipers, or of a minute of motion capture
+    marker_noise_m: NotNegative = 0.002  # [m] 1 sigma of a marker coordinate; 0: estimated from each fit's residual
+    # [m] 1 sigma of a marker coordinate in the template, from calipers or from a minute of motion capture
     template_tolerance_m: NotNegative = 0.001
-    # of a good pose to be refused, for its residual or for where it is, if both sigmas are true; 0: only residual_max_m
-    # counts
+    # probability that a good pose is refused, for its residual or its place, if both sigmas are true; 0: only
+    # residual_max_m counts
     false_reject_probability: between(0.0, 0.1) = 1e-5
-    # a marker with the very same coordinates in so many frames in a row is lost: its picture stands still; 0 = off, for
-    # exact simulators. Cameras measure a marker anew in each frame, however still it is
+    # a marker with identical coordinates in this many frames in a row counts as lost: its data are frozen. 0 = off, for
+    # simulators without noise; measured by cameras, even a marker at rest changes from frame to frame
     frozen_frames: between(0, 1000) = 3
     residual_max_m: Positive = 0.015  # [m] worst rms distance of the markers from the fitted template, in any case
     min_spread_m: Positive = 0.01  # [m] markers closer than this to one line give no attitude
     tilt_max_rad: Positive = 2.1  # [rad] 120 degrees: three markers of a square fit upside down when two are swapped
-    # [s] a body that was seen less long ago must be where it can have come to; else it is refused for so long. 0: each
-    # frame is taken for itself
+    # [s] a body seen within this time must be where it can have moved to; a pose elsewhere is refused for as long. 0:
+    # each frame is judged on its own
     memory_s: NotNegative = 0.3
-    # what a body can do; also the tip of a pendulum, and an IRIS+ that is thrown about by hand
+    # limits of a body's motion; they also hold for the tip of a pendulum, and for an IRIS+ thrown about by hand
     acceleration_max_m_s2: Positive = 20.0
-    speed_max_m_s: Positive = 5.0  # of a body that has just been seen for the first time
+    speed_max_m_s: Positive = 5.0  # greatest error of a predicted velocity, e.g. of a body that has just been seen
     angular_acceleration_max_rad_s2: Positive = 200.0  # attitude loop of 15 rad/s, stepped by 50 degrees
     turn_rate_max_rad_s: Positive = 8.0
     # [m] a vehicle outside of this box is invisible: the net of the fleet file, unless these are set
@@ -75,7 +75,7 @@ class PoseFitParams(Settings):
     arena_y_m: Positive = NET_HALF_Y_M  # half its width
     arena_z_min_m: float = -0.1  # floor; a landed vehicle must stay visible
     arena_z_max_m: float = NET_HEIGHT_M
-    arena_margin_m: float = 0.05  # [m] so far outside still counts as inside
+    arena_margin_m: float = 0.05  # [m] up to this far outside still counts as inside
 
     def within(self, arena):
         """The same settings for another Arena."""
@@ -103,11 +103,11 @@ class PoseFitParams(Settings):
 
     @property
     def _sigma_m(self):
-        """Of a coordinate of a marker, from where the fitted template has it [m]."""
+        """Standard deviation of a marker coordinate from its place on the fitted template [m]."""
         return math.hypot(self.marker_noise_m or 0.2 * self.residual_max_m, self.template_tolerance_m)
 
     def residuals_m(self, most):
-        """(most + 1,) largest rms distance of so many markers from the fitted template [m]."""
+        """(most + 1,) largest accepted rms distance from the fitted template [m], by number of markers."""
         largest_m = np.full(most + 1, self.residual_max_m)
         if self.false_reject_probability > 0.0 and self.marker_noise_m > 0.0:
             count = np.arange(MIN_MARKERS, most + 1)
@@ -127,9 +127,9 @@ GATES = record(
     "marker_m frozen_frames",
     ("lower_m", float, (3,)),  # corners of the arena
     ("upper_m", float, (3,)),
-    ("shows_jumps", bool),  # poses that contradict are present all the same: the filter has a gate of its own
+    ("shows_jumps", bool),  # poses that contradict the track still count as present: the filter has a gate of its own
 )
-# how often a gate has refused, or something was mended; the fields of `risc_estimation.state_estimator.EstimatorCounts`
+# how often a gate refused or a fault was repaired; fields of `risc_estimation.state_estimator.EstimatorCounts`
 _COUNTED = "markers_left_out", "markers_frozen", "misfits", "collinear", "tilted", "jumps", "outside"
 _MENDED = "swaps_mended", "filled_in", "exchanges"
 REFUSALS = record(*[(name, int) for name in _COUNTED + _MENDED])
@@ -137,12 +137,12 @@ BODY = record(
     ("markers", int),  # of its template
     ("has_attitude", bool),  # not of an attached body
     "apart_m",  # least distance between two markers of its template
-    ("first", int),  # the markers of its name in those of the frame
+    ("first", int),  # index in the frame of the first marker of its name; count: their number
     ("count", int),
     ("place", int),  # row of the body whose name its markers have: its own, unless names are exchanged
     ("moved", bool),  # it has just been given the markers of another name
-    ("known", bool),  # it was seen lately, before the newest frame
-    ("elsewhere", bool),  # its pose in the newest frame is believed although it contradicts those before
+    ("known", bool),  # it was seen within memory_s before the newest frame
+    ("elsewhere", bool),  # its pose in the newest frame is accepted although it contradicts those before
     ("doubt", int),  # about its pose in the newest frame
     "stamp_s residual_m",  # of its newest pose
     ("rotation", float, (3, 3)),
@@ -151,36 +151,36 @@ FIXED = record(("gates", GATES), ("refusals", REFUSALS), ("fit", FIT))  # what a
 
 
 class _Bodies(NamedTuple):
-    """What is known of the vehicles and of what is attached to them, one row each. `Poses` explains most of it."""
+    """Data of the vehicles and attached bodies, one row each. `Poses` explains most of the fields."""
 
     table: np.ndarray  # (bodies,) BODY
     templates_m: np.ndarray  # (bodies, most markers, 3)
-    # (bodies, most markers, 4): its coordinates when it was seen last [m], in how many frames before that, too
+    # (bodies, most markers, 4): last coordinates of a marker [m], and in how many frames before they were the same
     newest: np.ndarray
-    used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
+    used: np.ndarray  # (bodies, most markers) bool: the markers used in the newest fit
     flags: np.ndarray  # (3, bodies) bool: present, inside, elsewhere
     measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
     paths: np.ndarray  # (bodies, 3) PATH: `identity` explains them
 
 
 class _Landmarks(NamedTuple):
-    """What is known of the landmarks."""
+    """Data of the landmarks."""
 
     table: np.ndarray  # (landmarks,) LANDMARK
     offsets_m: np.ndarray  # (landmarks, most markers, 3)
     positions_m: np.ndarray  # (landmarks, 3) of those seen in the newest frame, which come first
-    rows: np.ndarray  # (landmarks,) which ones these are
+    rows: np.ndarray  # (landmarks,) their rows in table
 
 
 class _Scratch(NamedTuple):
-    """What is filled anew for each body or frame, but for residuals_m. n: most markers."""
+    """Work arrays, overwritten for each body or frame, except residuals_m. n: largest number of markers."""
 
     seen: np.ndarray  # (n,) bool
     tried: np.ndarray  # (n,) bool
     found: np.ndarray  # (n,) int, see `find_markers`
     found_m: np.ndarray  # (n, 3)
     residuals_m: np.ndarray  # (n + 1,), see `PoseFitParams`
-    # (bodies, bodies): how far from where one has to be the markers of another have it; infinite: they do not fit
+    # (bodies, bodies): distance of body i, fitted to the markers of body j, from its prediction; inf: no fit
     costs_m: np.ndarray
 
 
@@ -188,12 +188,12 @@ NOTHING = np.zeros((0, 3))
 
 
 class Poses:
-    """Raw poses of the newest frame, a row a body. Cortex frame, SI units. Valid until the next frame: copy what stays.
+    """Raw poses of the newest frame, a row per body. Cortex frame, SI units. The next frame overwrites it: copy it.
 
-    A body whose markers were not believed is not present (for a filter with a gate of its own, one that has jumped is
-    present); it keeps the numbers, and the stamp, of its last pose that was believed. Bodies join at the end, when they
-    are first seen. `flags` (3, n) is `present`, `inside` and `elsewhere`, `measured` (2, n, 3) `position_m` and
-    `angles_rad`: for compiled code, where every array that is passed costs time.
+    A body whose pose was refused is not present; it keeps the numbers and the stamp of its last accepted pose. (For a
+    filter with a gate of its own, a body that has jumped is present.) New bodies are appended when first seen.
+    `flags` (3, n) holds `present`, `inside` and `elsewhere`, `measured` (2, n, 3) `position_m` and `angles_rad`: for
+    compiled code, where every array that is passed costs time.
     """
 
     def __init__(self, bodies, marker_noise_m):
@@ -203,18 +203,17 @@ class Poses:
         self.take(bodies)
 
     def take(self, bodies):
-        """Have these arrays, which are filled again with every frame."""
+        """Use these arrays, which every frame overwrites."""
         self._bodies, self.flags, self.measured = bodies, bodies.flags, bodies.measured
-        # (n,) bool: the newest frame gave a pose; it is inside the arena; it is elsewhere than those before it
+        # (n,) bool: the newest frame gave a pose; it is in the arena; it is accepted although it contradicts the track
         self.present, self.inside, self.elsewhere = bodies.flags
-        # (n, 3) of the template's origin [m]; (n, 3) roll pitch yaw [rad] without jumps of whole turns, 0 of what is
-        # attached
+        # (n, 3) position of the template's origin [m]; (n, 3) roll, pitch, yaw [rad], unwrapped, 0 for attached bodies
         self.position_m, self.angles_rad = bodies.measured
         self._covariances_ = np.empty((len(bodies.table), 6, 6))
 
     @property
     def stamps_s(self):
-        """(n,) stamp of each body's pose [s]; that of the frame where it is present, -inf before the first."""
+        """(n,) stamp of each body's pose [s]; the frame's stamp where it is present, -inf before the first pose."""
         return self._bodies.table["stamp_s"]
 
     @property
@@ -224,7 +223,7 @@ class Poses:
 
     @property
     def marker_counts(self):
-        """[(used, of its template)] of each body: on how many of its markers its newest pose rests."""
+        """[(used, in its template)] for each body: number of markers in the newest fit."""
         return list(zip(self._bodies.used.sum(axis=1).tolist(), self._bodies.table["markers"].tolist()))
 
     @property
@@ -235,12 +234,12 @@ class Poses:
     def covariances(self):
         """(n, 6, 6) covariance of position [m] and of a small rotation about cortex x, y, z [rad], in this order.
 
-        NaN where a body is not present; nothing is computed before it is asked for. Errors p of the position and theta
-        of the rotation move marker i by  p + theta x R t_i,  so their covariance is, to first order,
+        NaN where a body is not present; computed on demand. Errors p of the position and theta of the rotation move
+        marker i by  p + theta x R t_i,  so their covariance is, to first order,
 
             noise^2 (sum_i J_i^T J_i)^-1,   J_i = (I, -[R t_i]x),
 
-        noise: of each coordinate of a marker, white: `marker_noise_m`, or, where that is 0, from the fit's residual.
+        noise: standard deviation of each marker coordinate, white: `marker_noise_m`, or from the residual if that is 0.
         """
         bodies, here = self._bodies, self.present
         _covariances(bodies.table, bodies.templates_m, bodies.used, here, self._marker_noise_m, self._covariances_)
@@ -251,15 +250,15 @@ class PoseFit:
     """Frames of named marker sets in, `Poses` and landmarks out. Not thread-safe."""
 
     def __init__(self, templates, params=None, on_body=lambda template: None, shows_jumps=False):
-        """templates: dict name -> risc_lab.lab.templates.Template.   on_body: told of every body that gets a row.
-        shows_jumps: poses that contradict where the body was are counted, but present.
+        """templates: dict name -> risc_lab.lab.templates.Template.   on_body: called for every body that gets a
+        row.   shows_jumps: poses that contradict the track are counted, but still present.
 
         Raises ValueError if a template of another kind than landmark has fewer than three markers.
         """
         params = params or PoseFitParams()
         self.names, self.landmark_names = (), ()
-        self.unknown = Counter()  # frames by name that no template knows
-        self.exchanged = Counter()  # how often by (body, name that its markers had)
+        self.unknown = Counter()  # {name without a template: frames}
+        self.exchanged = Counter()  # {(body, name that its markers had): how often}
         self._templates, self._on_body = dict(templates), on_body
         for template in self._templates.values():
             if template.kind != kinds.LANDMARK and len(template.markers_m) < MIN_MARKERS:
@@ -299,12 +298,12 @@ class PoseFit:
 
     @property
     def refusals(self):
-        """{gate: how often it has refused}, up to now."""
+        """{gate: how often it has refused} so far."""
         return dict(zip(REFUSALS.names, self._fixed["refusals"][0].tolist()))
 
     @property
     def misses_a_body(self):
-        """Whether one that was seen lately has no pose in the newest frame."""
+        """True if a body that was seen recently has no pose in the newest frame."""
         table = self._bodies.table
         return bool((table["known"] & (table["doubt"] != NONE)).any())
 
@@ -313,11 +312,11 @@ class PoseFit:
         return sorted(name for name, template in self._templates.items() if template.kind != kinds.LANDMARK)
 
     def admit(self, name):
-        """A row for a body, if it has none yet and a template knows it."""
+        """Add a row for a body that has a template and no row yet."""
         template = self._templates.get(name)
         if template is None or name in self.names or name in self.landmark_names:
             return
-        self._layout = None  # its plan has no row for it
+        self._layout = None  # the plan has no row for this body
         count = len(template.markers_m)
         if template.kind == kinds.LANDMARK:
             self.landmark_names += (name,)
@@ -337,7 +336,7 @@ class PoseFit:
             self._on_body(template)
 
     def forget(self):
-        """Nothing is known of where bodies were: their stamps mean nothing on the clock that the next frame has."""
+        """Forget all tracks: their stamps mean nothing on the clock of the next frame."""
         self._bodies.paths["lives"] = False
         self._bodies.table["place"] = np.arange(len(self.names))
 
@@ -386,7 +385,7 @@ class PoseFit:
         self._arguments = self._markers_m, self._fixed, *self._scratch, *self._bodies, *self._landmarks
 
     def _exchange(self):
-        """Give the markers of this frame to the bodies to which they belong, as far as that is clear."""
+        """Reassign the markers of this frame to the bodies that they fit, where the assignment is clear."""
         table, costs_m = self._bodies.table, self._scratch.costs_m
         fits = np.isfinite(costs_m)
         rows, columns = np.flatnonzero(fits.any(axis=1)), np.flatnonzero(fits.any(axis=0))
@@ -405,16 +404,15 @@ class PoseFit:
             left.remove(given[other])
         for mine, place in given.items():
             table["place"][mine], table["moved"][mine] = place, True
-            if not table["known"][mine]:  # what it has seen was another one
+            if not table["known"][mine]:  # its track was that of another body
                 self._bodies.paths["lives"][mine] = False
         new = [(self.names[mine], self.names[given[mine]]) for mine in taken if given[mine] != mine]
         self.exchanged.update(new)
         self._fixed["refusals"]["exchanges"] += bool(new)
 
     def _leave_one_sided(self, taken):
-        """Take out of taken, {body: the one whose markers it gets}, what is no exchange: a body that is seen and known,
-        too, would lose its markers to one whose own nobody takes. What fits then is chance, where all that is seen is
-        false.
+        """Remove from taken, {body: the one whose markers it gets}, what is no exchange: a known body would lose its
+        markers to one whose own markers are seen but fit no body. Such a fit is chance: all markers seen are false.
         """
         table = self._bodies.table
         while True:
@@ -427,14 +425,14 @@ class PoseFit:
 
 
 def _with_row(table):
-    """A NamedTuple of arrays with one more row; that is their first axis, but for flags and measured."""
+    """A NamedTuple of arrays with one more row: axis 0, except in flags and measured (axis 1)."""
     return table._make([with_row(a, 1 if name in ("flags", "measured") else 0) for name, a in table._asdict().items()])
 
 
 # --- compiled: all bodies of a frame in one call
 
 
-# The arrays come one by one, since a tuple of them takes three times as long to pass.
+# The arrays are passed one by one, since a tuple of them takes three times as long to pass.
 @compiled
 def _fit_frame(
     stamp_s, again, loose_m, markers_m, fixed,
@@ -444,7 +442,7 @@ def _fit_frame(
 ):  # fmt: skip
     """One frame: updates all tables. Returns how many landmarks are seen; -1: names are exchanged, costs_m is filled.
 
-    stamp_s [s]; again: the second time, bodies have been given other markers; loose_m: (u, 3) [m]; markers_m:
+    stamp_s [s]; again: second call for this frame, after markers were reassigned; loose_m: (u, 3) [m]; markers_m:
     (markers, 3) [m]; fixed: (1,) FIXED.  After them: the fields of _Scratch, of _Bodies and of _Landmarks.
     """
     scratch = _Scratch(seen, tried, found, found_m, residuals_m, costs_m)
@@ -503,7 +501,7 @@ def see_markers(markers, gates, visible):
 
 @compiled
 def _leave_frozen(newest, markers, gates, used):
-    """Take those out of used (n,) bool that stand still; returns how many. newest: (>= n, 4) of _Bodies."""
+    """Remove frozen markers from used (n,) bool; returns how many. newest: (>= n, 4) of _Bodies."""
     count = 0
     for i in range(len(used)):
         if used[i] and _is_frozen(newest[i], markers[i], gates):
@@ -514,7 +512,7 @@ def _leave_frozen(newest, markers, gates, used):
 
 @compiled
 def _is_frozen(newest, marker, gates):
-    """Note where a marker (3,) is [m], with a label or without; whether it stands still. newest: (4,) of _Bodies."""
+    """Record the place (3,) [m] of a marker, labelled or not. True if it is frozen. newest: (4,) of _Bodies."""
     same = True
     for axis in range(3):
         same = same and newest[axis] == marker[axis]
@@ -528,12 +526,12 @@ def _stands_still(newest, gates):
     return newest[3] + 1.0 >= gates.frozen_frames
 
 
-# Arrays have counts of references: to pass all of them on for each body would take as long as its fit.
+# Arrays are reference-counted: passing all of them on for each body would take as long as its fit.
 @compiled
 def _locate(body, template, markers, newest, used, measured, paths, residuals_m, stamp_s, fixed):
-    """Pose of a body from all of its markers (k, 3); returns a doubt about it. Fills used, and without one the rest.
+    """Fit a body to all of its markers (k, 3); returns a doubt about it. Fills used; without a doubt the rest, too.
 
-    body: BODY. After it: its rows of `_Bodies`; of measured those of all quantities.
+    body: BODY. After it: its rows of `_Bodies`; of measured the rows of all quantities.
     """
     fit = fixed.fit
     count = see_markers(markers, fixed.gates, used)
@@ -552,7 +550,7 @@ def _locate(body, template, markers, newest, used, measured, paths, residuals_m,
 
 @compiled
 def _recover(body, template, markers, loose_m, newest, used, measured, paths, scratch, stamp_s, fixed):
-    """The same of a body where `_locate` had a doubt, from other markers or from some of them."""
+    """As `_locate`, for a body where that had a doubt: fit it to other markers, or to some of its own."""
     refusals, fit, residuals_m, count = fixed.refusals, fixed.fit, scratch.residuals_m, _count(used)
     if body.known:
         seen, found, found_m = scratch.seen[: body.markers], scratch.found, scratch.found_m
@@ -618,8 +616,8 @@ def _count(used):
 
 @compiled
 def _own_of(found, used, labelled):
-    """Of the markers that `find_markers` has found and that are used: how many had a label; 1 if any had a wrong one; 1
-    if any had none.
+    """Of the used markers that `find_markers` has found: how many had a label; 1 if any label was wrong; 1 if any had
+    none.
     """
     own, swapped, filled = 0, 0, 0
     for k in range(len(used)):
@@ -635,7 +633,7 @@ def _own_of(found, used, labelled):
 
 @compiled
 def _believe(body, paths, measured, stamp_s, count, fit):
-    """Keep a pose, of so many markers, that does not contradict."""
+    """Accept a pose, fitted to count markers, that does not contradict the track."""
     go_on(paths, stamp_s, fit.pose, count, body.has_attitude, fit.reach, fit.ahead)
     _keep(body, measured, stamp_s, fit.pose)
 
@@ -648,14 +646,14 @@ def _keep(body, measured, stamp_s, pose):
     measured[0] = pose.position_m
     if body.has_attitude:
         phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
-        for axis in range(3):  # whole turns are added to be nearest to the last
+        for axis in range(3):  # whole turns are added, so that it is nearest to the last one
             turned = (phi, theta, psi)[axis] - measured[1, axis]
             measured[1, axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
 
 
 @compiled
 def _take_back(bodies, i, stamp_s, reach):
-    """A body that is not known has the markers of its name again, unless a known one has them."""
+    """Give a body that is not known the markers of its own name back, unless a known body uses them."""
     if is_known(bodies.paths[i], stamp_s, reach):
         return
     for j in range(len(bodies.table)):
@@ -666,9 +664,9 @@ def _take_back(bodies, i, stamp_s, reach):
 
 @compiled
 def _compare(bodies, stamp_s, markers_m, fixed, scratch):
-    """Fill costs_m: of each known body in doubt, with the markers of others that are in doubt or were not known.
+    """Fill costs_m for each known body in doubt, with the markers of others that are in doubt or were not known.
 
-    Returns whether any fit.
+    True if any fit.
     """
     fit, some = fixed.fit, False
     for i in range(len(bodies.table)):
@@ -686,9 +684,9 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
             markers = _named(bodies.table[bodies.table[j].place], markers_m)
             see_markers(markers, fixed.gates, seen)
             for k in range(min(len(seen), bodies.table[j].markers)):
-                if _stands_still(bodies.newest[j][k], fixed.gates):  # frozen: it says nothing of now
+                if _stands_still(bodies.newest[j][k], fixed.gates):  # frozen: no measurement of this frame
                     seen[k] = False
-            # a pose that is possible has its markers so near; to fit all pairs of a large fleet would take too long
+            # a possible pose has its markers this near; fitting all pairs of a large fleet would take too long
             if _count_near(markers, seen, ahead.position_m, near_m) < MIN_MARKERS:
                 continue
             tried[:] = seen
@@ -700,7 +698,7 @@ def _compare(bodies, stamp_s, markers_m, fixed, scratch):
 
 @compiled
 def _extent_m(template, count):
-    """How far the farthest of so many markers is from the origin of a template [m]."""
+    """Distance of the farthest of the first count markers from the origin of a template [m]."""
     square = 0.0
     for k in range(count):
         square = max(square, template[k, 0] ** 2 + template[k, 1] ** 2 + template[k, 2] ** 2)
@@ -709,7 +707,7 @@ def _extent_m(template, count):
 
 @compiled
 def _count_near(markers, seen, place_m, near_m):
-    """How many of the markers that are seen are no farther than this from a place (3,) [m]."""
+    """Number of seen markers within near_m of a place (3,) [m]."""
     count = 0
     for k in range(len(seen)):
         if seen[k]:
@@ -723,7 +721,7 @@ def _count_near(markers, seen, place_m, near_m):
 
 @compiled
 def _covariances(table, templates_m, used, present, noise_m, out):
-    """Fill out (bodies, 6, 6), see `Poses.covariances`: by template axes, in which R is 1, turned then."""
+    """Fill out (bodies, 6, 6), see `Poses.covariances`: computed in template axes, where R is 1, then rotated."""
     A, turned = np.empty((6, 12)), np.empty((6, 6))
     for i in range(len(table)):
         out[i] = np.nan
@@ -771,7 +769,7 @@ def _covariances(table, templates_m, used, present, noise_m, out):
 
 @compiled
 def _solve(A):
-    """Gauss and Jordan's elimination: A (n, m) = (S | B) becomes (1 | S^-1 B). S: symmetric, positive definite."""
+    """Gauss-Jordan elimination: A (n, m) = (S | B) becomes (1 | S^-1 B). S: symmetric, positive definite."""
     n, m = A.shape
     for i in range(n):
         pivot = A[i, i]

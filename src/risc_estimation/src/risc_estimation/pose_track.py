@@ -45,8 +45,8 @@ class PoseTrack:
     def append(self, stamp_s, position_m, euler_rad):
         """Add a sample: position (3,) [m] in the cortex frame; roll, pitch, yaw [rad] in the NED sense.
 
-        Samples that do not advance, or that hold anything but finite numbers, are passed over; a new clock (a bag
-        played again) starts afresh. Returns the `Step` that the stamp was.
+        Samples that do not advance, or that hold anything but finite numbers, are ignored; a new clock (a bag
+        played again) starts afresh. Returns the `Step` of the stamp.
         """
         row = (stamp_s, *position_m, *euler_rad)
         if not math.isfinite(sum(row)):
@@ -84,7 +84,7 @@ class PoseTrack:
         return Poses(known, positions, R)
 
     def _table(self):
-        """A view: it must be gone before the next append."""
+        """A view of the samples: it must be released before the next append."""
         return np.frombuffer(self._rows).reshape(-1, _WIDTH) if self._rows else np.zeros((0, _WIDTH))
 
 

@@ -11,7 +11,7 @@ from risc_lab.compiled import compiled, record
 
 MIN_MARKERS = 3
 _SWEEPS = 30  # of Jacobi's rotations; four to six are enough
-_ORTHOGONAL = 1e-15  # cosine between two axes that are left as they are
+_ORTHOGONAL = 1e-15  # rows with a smaller cosine between them count as orthogonal
 _FLAT = 1e-14  # ratio of singular values below which the smaller one is rounding
 
 POSE = record(
@@ -20,7 +20,7 @@ POSE = record(
     ("residual_m", float),  # rms distance of the used markers from the fitted template [m]
     ("spread_m", float),  # second principal extent of the used markers [m]; 0 = on one line
 )
-WORK = record(  # what a fit needs beside its result
+WORK = record(  # work space of a fit
     ("axes", float, (3, 3)),
     ("turns", float, (3, 3)),
     ("template_m", float, (3,)),

@@ -1,8 +1,8 @@
 """From markers to the twelve states of every vehicle and the positions of the landmarks (thesis 4.2, 4.3).
 
-Two stages: `pose_fit` makes raw poses of a frame's markers, a filter (risc_estimation/filters) makes states of them.
-`StatesEstimator` is both, `PosesEstimator` the second one alone. Bodies are keyed by name; their order in a frame means
-nothing. Time comes from the frames' stamps.
+Two stages: `pose_fit` turns the markers of a frame into raw poses, a filter (risc_estimation/filters) turns poses into
+states. `StatesEstimator` runs both, `PosesEstimator` only the filter. Bodies are identified by name; their order in a
+frame means nothing. Time comes from the frames' stamps.
 """
 
 import copy
@@ -23,43 +23,43 @@ _LATE = 128  # frames
 
 
 class FrameEstimate(NamedTuple):
-    """What one frame says. SI units, cortex axes, angles in the NED sense; rows in the order of `names`."""
+    """Estimate of one frame. SI units, cortex axes, angles in the NED sense; rows in the order of `names`."""
 
     stamp_s: float
     names: tuple[str, ...]  # every known vehicle or attached body, seen or not
     visible: np.ndarray  # (vehicles,) bool
-    states: np.ndarray  # (vehicles, 12), columns `S`; the last known where not visible, first 0
+    states: np.ndarray  # (vehicles, 12), columns `S`; the last known values where not visible, 0 at first
     landmark_names: tuple[str, ...]  # the landmarks seen in this frame
     landmarks_m: np.ndarray  # (landmarks, 3) their positions [m]
 
 
 @dataclass
 class EstimatorCounts:
-    """What was refused and why; grows for ever, meant for diagnostics."""
+    """Counts since the start of what was refused and why, for diagnostics."""
 
     frames: int = 0  # frames estimated
-    late_frames: int = 0  # of them, those that were older than another one, and that the filter still took
+    late_frames: int = 0  # of these, frames older than the newest one that the filter still used
     duplicate_stamps: int = 0  # frames refused: same stamp as the one before
     backward_stamps: int = 0  # frames refused: older than the one before, far ahead of it, or not a number
-    clock_resets: int = 0  # stamps of a new clock, or after ten seconds of silence: started afresh
+    clock_resets: int = 0  # a new clock, or ten seconds of silence: the estimator started afresh
     markers_left_out: int = 0  # a marker did not fit and the body was estimated without it
-    markers_frozen: int = 0  # one marker stood still for some frames, and was no measurement any more
+    markers_frozen: int = 0  # a marker was ignored because its coordinates were frozen
     misfits: int = 0  # body refused: residual too large
     collinear: int = 0  # body refused: visible markers on one line
     tilted: int = 0  # body refused: upside down
-    jumps: int = 0  # body refused: where it cannot have come to
+    jumps: int = 0  # body refused: it cannot have moved there
     outside: int = 0  # body invisible: outside the arena
     swaps_mended: int = 0  # body estimated although labels of its markers were exchanged
     filled_in: int = 0  # body estimated with markers that have no label
-    exchanges: int = 0  # bodies had each other's name, and were given their markers
-    unknown: Counter = field(default_factory=Counter)  # frames by name that no template knows
+    exchanges: int = 0  # bodies had each other's names, and got their own markers back
+    unknown: Counter = field(default_factory=Counter)  # frames, by name of a body without a template
     exchanged: Counter = field(default_factory=Counter)  # exchanges by (body, name that its markers had)
 
 
 class _Estimator:
-    """A filter, and what may become of a stream of frames before it: late, twice, of a clock that was set.
+    """A filter, and in front of it the handling of late frames, duplicates and clocks that were set.
 
-    What a frame is, and how poses are made of it, is up to subclasses. Not thread-safe.
+    Subclasses define what a frame is and how poses are made of it. Not thread-safe.
     """
 
     def __init__(self, velocity_filter, poses):
@@ -68,14 +68,14 @@ class _Estimator:
         self._counts = EstimatorCounts()
         self._stamps = ClockGuard()
         self._coasted_s = -math.inf  # up to here states were predicted without frames
-        self._late = deque(maxlen=_LATE)  # frames that are late, or of a clock that was set: the next one tells
+        self._late = deque(maxlen=_LATE)  # frames that are late or of a new clock: the next one decides
 
     def _pose(self, stamp_s, *frame):
         """Bring `poses` up to date with a frame. Returns (names of landmarks seen, (landmarks, 3) [m]), or ()."""
         raise NotImplementedError
 
     def _forget(self):
-        """The clock was set: where bodies were when says nothing now."""
+        """Forget earlier poses: the clock was set, so their stamps mean nothing now."""
 
     @property
     def names(self):
@@ -89,12 +89,12 @@ class _Estimator:
 
     @property
     def frames(self):
-        """How many were taken, up to now."""
+        """Number of frames taken so far."""
         return self._counts.frames
 
     @property
     def on_board_wanted(self):
-        """What the filter wants to be given with `on_board`, a set; see `filters.VelocityFilter`."""
+        """Set of the quantities that the filter wants through `on_board`; see `filters.VelocityFilter`."""
         return frozenset(self._filter.ON_BOARD)
 
     def status(self):
@@ -106,7 +106,7 @@ class _Estimator:
         return self._filter.counters()
 
     def covariances(self):
-        """(vehicles, 12, 12) of the newest states; None if the filter does not know."""
+        """(vehicles, 12, 12) covariances of the newest states; None if the filter has none."""
         return self._filter.covariances()
 
     def accelerations(self):
@@ -140,7 +140,7 @@ class _Estimator:
         return self._estimate(self._filter.visible.copy(), *landmarks)
 
     def coast(self, stamp_s):
-        """FrameEstimate of a time [s] for which no frame has come; None if nobody is visible then."""
+        """FrameEstimate of a time [s] for which no frame has come; None if no body is visible then."""
         newest_s = max(self._stamps.newest_s, self._coasted_s)
         if not stamp_s > newest_s > -math.inf or not self._filter.coast(stamp_s):
             return None
@@ -158,12 +158,12 @@ class _Estimator:
         return FrameEstimate(self.poses.stamp_s, self.names, visible, states, landmark_names, landmarks_m)
 
     def on_board(self, name, stamp_s, what, values):
-        """Hand the filter what it wants of a body, see `VelocityFilter.on_board`; of one that is not known: nothing."""
+        """Pass on what the filter wants of a known body, see `VelocityFilter.on_board`; anything else is ignored."""
         if what in self._filter.ON_BOARD and name in self.names:
             self._filter.on_board(self.names.index(name), stamp_s, what, values)
 
     def lost(self):
-        """FrameEstimate for "no frames arrive any more": the last numbers, nothing visible. None before any."""
+        """FrameEstimate for when frames have stopped: the last numbers, nothing visible. None before the first."""
         if self._stamps.newest_s == -math.inf:
             return None
         return self._estimate(np.zeros(len(self.names), dtype=bool))
@@ -172,16 +172,16 @@ class _Estimator:
 class StatesEstimator(_Estimator):
     """Frames of named marker sets in, `FrameEstimate` out.
 
-    Which poses are believed is up to the pose fit; when a vehicle is visible, to the filter.
+    The pose fit decides which poses are accepted, the filter when a vehicle is visible.
     """
 
     def __init__(self, templates, params=None, vehicles=(), velocity_filter=None, vehicle_types=None):
         """templates: dict name -> risc_lab.lab.templates.Template.   params: PoseFitParams.   vehicles: names listed
-        from the start on.   velocity_filter: a new `filters.VelocityFilter`; None: the default one.   vehicle_types:
-        {name: VehicleType} of those of the fleet.
+        from the start.   velocity_filter: a new `filters.VelocityFilter`; None: the default one.   vehicle_types:
+        {name: VehicleType} of the vehicles of the fleet.
 
-        Raises ValueError if a listed vehicle has no template, or that of a landmark, or if a template that is no
-        landmark's has fewer than three markers.
+        Raises ValueError if a listed vehicle has no template or a landmark's, or if a template other than a landmark's
+        has fewer than three markers.
         """
         velocity_filter, types = velocity_filter or make_filter(), vehicle_types or {}
 
@@ -205,15 +205,15 @@ class StatesEstimator(_Estimator):
 
     @property
     def misses_a_body(self):
-        """Whether one that was seen lately has no pose in the newest frame."""
+        """True if a body that was seen recently has no pose in the newest frame."""
         return self._fit.misses_a_body
 
     def update(self, stamp_s, layout, markers_m, loose_m=NOTHING):
         """Estimate one frame. layout, markers_m and loose_m: see `PoseFit.update`.
 
         stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted), or is not
-        later than states that `coast` has given. A frame that is not older than the filter's late_s reaches the filter
-        all the same, with the next one that advances: by then it is known that the clock was not set.
+        later than states that `coast` has given. A frame that is late by at most the filter's late_s is kept, and
+        reaches the filter with the next one that advances: by then it is known that the clock was not set.
         Raises ValueError when layout and markers_m do not match.
         """
         return self._update(stamp_s, layout, markers_m, loose_m)
@@ -229,7 +229,7 @@ class PosesEstimator(_Estimator):
     """Frames of raw poses that were fitted elsewhere (/mocap_poses) in, `FrameEstimate` out, without landmarks."""
 
     def __init__(self, templates, vehicles=(), velocity_filter=None, vehicle_types=None):
-        """As `StatesEstimator`. Raises ValueError if a listed vehicle has no template, or that of a landmark."""
+        """As `StatesEstimator`. Raises ValueError if a listed vehicle has no template, or a landmark's."""
         super().__init__(velocity_filter or make_filter(), GivenPoses())
         self._bodies = {name: template for name, template in templates.items() if template.kind != LANDMARK}
         self._types, self._newest_names = vehicle_types or {}, ()
@@ -237,7 +237,7 @@ class PosesEstimator(_Estimator):
         self._admit(vehicles)
 
     def update(self, stamp_s, frame):
-        """Estimate one frame of raw poses, a `given_poses.PoseFrame`. stamp_s and what is returned: as there."""
+        """Estimate one frame of raw poses, a `given_poses.PoseFrame`. Otherwise as `StatesEstimator.update`."""
         return self._update(stamp_s, frame)
 
     def _pose(self, stamp_s, frame):
@@ -250,7 +250,7 @@ class PosesEstimator(_Estimator):
         return ()
 
     def _admit(self, names):
-        """A row for each of these bodies that has none yet and that a template knows."""
+        """Add a row for each of these bodies that has a template and no row yet."""
         self._unknown_here = [name for name in names if name not in self._bodies]
         for name in names:
             if name in self._bodies and name not in self.names:

@@ -16,7 +16,7 @@ from risc_lab.settings import NotNegative, Positive, Settings, between
 
 @dataclass(frozen=True)
 class SyntheticParams(Settings):
-    """What the imagined cameras and detectors are like: parameters of synthetic_angles, too."""
+    """Properties of the simulated cameras and detectors; also parameters of synthetic_angles."""
 
     rate_hz: Positive = 30.0  # pictures a second
     delay_s: NotNegative = 0.0  # transport delay: a picture stamped t shows the world at t - delay_s
@@ -28,9 +28,9 @@ class SyntheticParams(Settings):
 
 
 class Picture(NamedTuple):
-    """What one imagined camera measured. All lists hold one Bearing per known object, found or not."""
+    """Measurements of one simulated camera. The lists hold one Bearing per known object, found or not."""
 
-    vehicle: str  # that observes
+    vehicle: str  # the observing one
     landmarks: list[Bearing]
     quads: list[Bearing]
 
@@ -55,7 +55,7 @@ class SyntheticBearings:
         self._tick = None  # number of the next picture; its stamp is tick / rate
 
     def see_landmarks(self, discs):
-        """The landmarks as they are now, a list of Disc; those not named stay where they were last seen."""
+        """Set the present landmarks, a list of Disc; those not named stay where they were last seen."""
         self._discs.update({disc.name: disc for disc in discs})
 
     def update(self, stamp_s, states):

@@ -1,4 +1,4 @@
-"""The geometry of a marker template: measured at rest, in its own axes, and what it may be taken for. Needs no ROS."""
+"""Geometry of a marker template: measured at rest, in its own axes, and what it may be confused with. Needs no ROS."""
 
 import math
 from typing import NamedTuple
@@ -13,15 +13,15 @@ from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import VEHICLE, TemplateSet
 from risc_lab.settings import settings_from
 
-ALIKE_M = 0.005  # rms; geometries that fit each other so well are taken for each other
+ALIKE_M = 0.005  # rms; geometries that fit each other this closely may be confused
 LEAST_FRAMES = 50
-_SEEN = 0.5  # of the frames; a marker that is seen less often is not learnt
-_NOISE_MAX_M = 0.005  # of a coordinate; a marker that is noisier shakes, or is two
-_PARTS = 5  # of the recording, whose places are compared
-_MOVED_M = 0.001  # beside what noise explains
+_SEEN = 0.5  # of the frames; a marker that is seen in fewer is not learnt
+_NOISE_MAX_M = 0.005  # of a coordinate; a noisier marker is loose, or two markers in one
+_PARTS = 5  # of the recording, whose marker positions are compared
+_MOVED_M = 0.001  # in addition to what noise explains
 _SIGMAS = 5.0
-_OF_MEDIAN = math.sqrt(math.pi / 2.0)  # its standard error, by that of the mean
-_SIGMA_BY_MAD = 1.4826  # of normal noise, by the median absolute deviation
+_OF_MEDIAN = math.sqrt(math.pi / 2.0)  # standard error of the median / that of the mean
+_SIGMA_BY_MAD = 1.4826  # sigma of normal noise / median absolute deviation
 
 
 class Rest(NamedTuple):
@@ -29,15 +29,15 @@ class Rest(NamedTuple):
 
     markers_m: np.ndarray  # (n, 3) [m] cortex
     noise_m: np.ndarray  # (n,) 1 sigma of a coordinate of one frame
-    seen: np.ndarray  # (n,) part of the frames
+    seen: np.ndarray  # (n,) fraction of the frames
 
 
 def at_rest(samples_m):
     """`Rest` of samples (frames, n, 3) [m] in the cortex frame; a lost marker is NaN or farther than any room.
 
-    Places are medians, and noise goes by median deviations: single false frames change next to nothing.
-    Raises ValueError when there are too few frames, a marker is seldom seen or noisy, or it has moved: when the median
-    of a fifth of the recording is farther from that of all than 1 mm and 5 sigma of it.
+    Positions are medians, and noise comes from median absolute deviations: single false frames have hardly any effect.
+    Raises ValueError when there are too few frames, or a marker is seldom seen, noisy or has moved: when the median of
+    a fifth of the recording differs from that of all by more than 1 mm plus 5 sigma of it.
     """
     samples_m = np.where(np.abs(samples_m) < PoseFitParams.marker_limit_m, samples_m, np.nan)
     frames, count, _ = samples_m.shape
@@ -63,22 +63,22 @@ def at_rest(samples_m):
 
 
 class Match(NamedTuple):
-    """One way to lay markers on others by a rotation and a shift."""
+    """One assignment of markers to others, with the best rotation and shift."""
 
-    rms_m: float  # distance that is left
+    rms_m: float  # remaining distance
     places: tuple[int, ...]  # on which of the others each marker lies
     R: np.ndarray  # (3, 3) others = R markers + shift
 
     @property
     def angle_rad(self):
-        """Of the rotation, from 0 to pi."""
+        """Angle of the rotation, from 0 to pi."""
         return math.acos(min(1.0, max(-1.0, 0.5 * (np.trace(self.R) - 1.0))))
 
 
 def matches(markers_m, others_m, limit_m=ALIKE_M):
     """[`Match`] of markers (n, 3) on others (>= n, 3) [m] with an rms distance of at most limit_m, the best one first.
 
-    Every assignment is looked at whose distances between markers allow it: for residuals r_i with rms r the distance of
+    Every assignment that the distances between markers allow is tried: for residuals r_i with rms r the distance of
     two markers differs by at most |r_i| + |r_j| <= r sqrt(2 n).
     """
     apart_m, others_apart_m = cdist(markers_m, markers_m), cdist(others_m, others_m)
@@ -99,7 +99,7 @@ def matches(markers_m, others_m, limit_m=ALIKE_M):
 
 
 def laid_on(markers_m, others_m, places):
-    """`Match` of markers (n, 3), each on the one of the others at its place."""
+    """`Match` of markers (n, 3): marker i is laid on others_m[places[i]]."""
     pose, visible = np.zeros(1, POSE)[0], np.ones(len(markers_m), dtype=bool)
     measured_m = np.ascontiguousarray(np.asarray(others_m, dtype=float)[list(places)])
     fit_pose(np.array(markers_m, dtype=float), measured_m, visible, np.zeros(1, WORK)[0], pose)
@@ -107,19 +107,19 @@ def laid_on(markers_m, others_m, places):
 
 
 def symmetry(markers_m, limit_m=ALIKE_M):
-    """Best `Match` of markers (n, 3) [m] on themselves with some of them exchanged; None: no such one."""
+    """Best `Match` of markers (n, 3) [m] on themselves with some of them exchanged; None if there is none."""
     itself = tuple(range(len(markers_m)))
     return next((match for match in matches(markers_m, markers_m, limit_m) if match.places != itself), None)
 
 
 def symmetries_when_hidden(markers_m, limit_m=ALIKE_M):
-    """{marker: `symmetry` of the others}, where there is one and at least three are left."""
+    """{hidden marker: `symmetry` of the others}, where there is one and at least three are left."""
     found = {k: symmetry(np.delete(markers_m, k, axis=0), limit_m) for k in range(len(markers_m))}
     return {k: match for k, match in found.items() if match is not None and len(markers_m) > 3}
 
 
 def resembling(markers_m, templates, limit_m=ALIKE_M):
-    """{name: best `Match`} of the templates that markers (n, 3) [m] may be taken for: of the fewer on the more."""
+    """{name: best `Match`} of templates that markers (n, 3) [m] may be confused with: the smaller set on the larger."""
     found = {}
     for name, template in templates.items():
         fewer_m, more_m = sorted((markers_m, template.markers_m), key=len)
@@ -130,9 +130,9 @@ def resembling(markers_m, templates, limit_m=ALIKE_M):
 
 
 def in_own_axes(markers_m, kind, origin_m=None, nose_rad=0.0):
-    """(n, 3) [m] of markers (n, 3) that rest in the cortex frame, in the axes and from the origin of a template.
+    """Markers (n, 3) [m] at rest in the cortex frame, converted to the axes and the origin of their template.
 
-    kind: of templates.  vehicle: body axes of a vehicle that stands level with its nose at a yaw of nose_rad (0: along
+    kind: of template.  vehicle: body axes of a vehicle that stands level with its nose at a yaw of nose_rad (0: along
     cortex x); else the cortex axes as mounted.  origin_m: (3,) cortex, None: the mean of the markers.
     """
     centred_m = markers_m - (np.mean(markers_m, axis=0) if origin_m is None else np.asarray(origin_m))
@@ -142,7 +142,7 @@ def in_own_axes(markers_m, kind, origin_m=None, nose_rad=0.0):
 def in_axes_of(markers_m, template):
     """(markers (n, 3) [m] in the axes and from the origin of a template with the same markers, `Match`).
 
-    Raises ValueError when it has not as many.
+    Raises ValueError when the template has another number of markers.
     """
     if len(markers_m) != len(template.markers_m):
         text = "%d markers are no template like %s, which has %d"
@@ -152,9 +152,9 @@ def in_axes_of(markers_m, template):
 
 
 def template_text(name, kind, marker_names, markers_m, notes=()):
-    """What a templates file (or the section `templates` of a fleet file) says of a template, to 0.1 mm, below notes.
+    """Text of a template for a templates file (or the section `templates` of a fleet file), to 0.1 mm, below notes.
 
-    Raises ValueError for what is no template: a vehicle with markers on one line, say.
+    Raises ValueError for an invalid template, e.g. a vehicle with its markers on one line.
     """
     places = {marker: [round(float(x), 4) + 0.0 for x in row] for marker, row in zip(marker_names, markers_m)}
     geometry = "%s_markers" % name

@@ -26,7 +26,7 @@ BODIES = LISTED + ("Raven", "Pendulum_tip")  # in the order in which they are se
 LANDMARKS = ("Blue_green", "Green_pink", "Orange_blue", "Pink_blue")
 LOST = {32767: 9999.999, 32766: np.inf, 32765: -np.inf, 32764: 100.5, -32768: np.nan}  # what a lost marker looks like
 VARIANTS = {
-    "default": ({}, 5),  # and every which frame is kept
+    "default": ({}, 5),  # settings, and every how many frames one is kept
     "legacy": ({"legacy_window": True}, 20),
     "cubic": ({"position_order": 3, "angle_order": 3, "smooth_position": False, "max_gap_s": 0.2}, 20),
 }

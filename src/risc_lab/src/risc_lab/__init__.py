@@ -1,1 +1,1 @@
-"""What drivers, flying and looking packages share: the ground floor."""
+"""Base package: what the driver, flight and vision packages share."""

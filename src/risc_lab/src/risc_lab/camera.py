@@ -22,7 +22,7 @@ class Camera:
         self.width_px, self.height_px = calibration.width_px, calibration.height_px
         self.K = np.array(calibration.K).reshape(3, 3)
         self.D = np.array(calibration.D)
-        self.radius_limit = _monotonic_radius(self.D)  # of normalised coordinates that the distortion is good for
+        self.radius_limit = _monotonic_radius(self.D)  # of normalised coordinates where the distortion model is valid
 
     def project(self, points_camera):
         """Pixels (..., 2) where points (..., 3) [m] in camera axes are seen; NaN behind the camera.

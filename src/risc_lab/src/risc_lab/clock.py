@@ -1,4 +1,4 @@
-"""What happens to a stream of stamps when a clock is set, or a bag is played again: one rule for all. No ROS."""
+"""The common rule for streams of stamps when a clock is set or a bag is played again. No ROS."""
 
 import enum
 import math
@@ -9,17 +9,17 @@ from itertools import pairwise
 from statistics import median
 
 AGREEING = 3  # stamps in a row that agree with each other make a new clock
-LATE_S = 0.2  # what fell behind by more is not late but of another clock
+LATE_S = 0.2  # a stamp that is behind by more is not late but of another clock
 _REMEMBERED = 64  # stamps: 0.3 s at 200 Hz
-_APART = 0.75  # of the usual step: the stamps of another clock come nearer to those that were seen
+_APART = 0.75  # of the usual step: late stamps are at least this far from those seen; another clock's come nearer
 
 
 class Step(enum.IntEnum):
-    """What a stamp is to its stream. Only `REFUSED` is false."""
+    """How a stamp continues its stream. Only `REFUSED` is false."""
 
-    REFUSED = 0  # it does not advance, or is not a number; as if it had not come
+    REFUSED = 0  # it does not advance, or is not a number: to be ignored
     ADVANCES = 1
-    NEW_CLOCK = 2  # it advances on a new clock: what is known from before has times that mean nothing now
+    NEW_CLOCK = 2  # it advances on a new clock: earlier times mean nothing now
 
 
 _REFUSED, _ADVANCES, _NEW_CLOCK = Step  # the members of an enumeration are slow to look up
@@ -28,12 +28,12 @@ _REFUSED, _ADVANCES, _NEW_CLOCK = Step  # the members of an enumeration are slow
 class ClockGuard:
     """Tells the stamps of one stream that advance from those that do not, and notices when their clock was set.
 
-    One stamp that falls back, or that is far ahead, may be a straggler or damage. It is refused. `AGREEING` of them in
-    a row, each a step ahead of the one before, are a clock that was set or a restarted bag: the last of them is
-    accepted, and what follows it. Until then a stamp of the old clock goes on with that.
+    One stamp that falls back, or that is far ahead, may be late or corrupt: it is refused. `AGREEING` of them in a row,
+    each a step ahead of the one before, mean that a clock was set or a bag restarted: the last of them is accepted, and
+    those that follow it. Until then stamps of the old clock are still accepted.
 
-    Stamps that a delay explains do not count as such, however many: each is up to `LATE_S` old and fills a gap that
-    was left between the stamps seen. A clock that was set back comes again to times from which stamps are there.
+    Stamps that a delay explains do not count as such, however many: each is up to `LATE_S` old and fills a gap between
+    the stamps seen. A clock that was set back repeats times of which stamps were seen.
     """
 
     def __init__(self, longest_step_s=10.0):
@@ -44,9 +44,9 @@ class ClockGuard:
         self.forget()
 
     def forget(self):
-        """The next stamp is the first."""
+        """Start over: the next stamp is the first."""
         self.newest_s = -math.inf  # newest stamp that was accepted [s]
-        self._jumped_s = -math.inf  # newest of those in a row that were not
+        self._jumped_s = -math.inf  # newest of those refused in a row
         self._agreeing = 0
         self._seen_s = deque(maxlen=_REMEMBERED)  # stamps of this clock, late ones as well
 

@@ -1,7 +1,7 @@
-"""What vehicles were commanded when: filled with what was really sent, for controllers, filters and reports.
+"""History of the commands that were really sent to vehicles, for controllers, filters and reports.
 
-A command holds until the next one; before the first a vehicle was commanded nothing. Compiled code gets a vehicle's
-record of `CommandHistory.vehicles`.
+A command holds until the next one; before the first one all channels are 0. Compiled code gets a vehicle's record of
+`CommandHistory.vehicles`.
 """
 
 import copy
@@ -15,10 +15,10 @@ ROWS = 1024  # of the ring: a second of commands at 1 kHz
 
 
 class Channel(IntEnum):
-    """Columns of a command, which is what a vehicle settles at, the gain of its loops included; NED senses.
+    """Columns of a command: the values at which a vehicle settles, with the gains of its loops; NED senses.
 
-    Roll and pitch [rad], climb rate [m/s, + up] or, of a type that takes thrust, how much it lifts more than its weight
-    [weights], yaw rate [rad/s].
+    Roll and pitch [rad]; climb rate [m/s, + up] or, of a type that takes thrust, lift in excess of its weight
+    [weights]; yaw rate [rad/s].
     """
 
     PHI, THETA, CLIMB, YAW_RATE = range(4)
@@ -28,7 +28,7 @@ CHANNELS = len(Channel)
 
 
 def history_of(rows):
-    """Record of a vehicle: command k is in row k % rows; oldest and newest are such k."""
+    """Record of a vehicle: command k is in row k % rows; oldest and newest are values of k."""
     fields = ("times_s", float, (rows,)), ("commands", float, (rows, CHANNELS)), ("oldest", int), ("newest", int)
     return record(*fields)
 
@@ -37,7 +37,7 @@ HISTORY = history_of(ROWS)
 
 
 def command_of(message):
-    """(4,) command of a CommandSent of risc_maap_msgs, rospy's or one that rosbags reads."""
+    """(4,) command of a CommandSent of risc_maap_msgs, of rospy or of the rosbags library."""
     return np.array((message.roll_rad, message.pitch_rad, message.climb, message.yaw_rate_rad_s))
 
 
@@ -53,7 +53,7 @@ class CommandHistory:
         self.clear()
 
     def of(self, rows):
-        """The same histories of some of the vehicles, a slice."""
+        """The histories of some of the vehicles, a slice; they share their data."""
         part = copy.copy(self)
         part.vehicles = self.vehicles[rows]
         return part
@@ -65,7 +65,7 @@ class CommandHistory:
         self.vehicles["commands"][:, 0] = 0.0
 
     def append(self, vehicle, time_s, command):
-        """A command, array (4,), holds from time_s on; an earlier time replaces what came after: a clock was set."""
+        """Add a command (4,) that holds from time_s on. It replaces later ones, if any: then the clock was set."""
         append_command(self.vehicles[vehicle], time_s, command)
 
     def at(self, vehicle, time_s):
@@ -74,7 +74,7 @@ class CommandHistory:
         return history.commands[last_by(history, time_s, history.newest) % len(history.times_s)].copy()
 
     def held(self, vehicle, times_s, longest_s):
-        """(n, 4) commands in force at times (n,); NaN where the last one was sent longer ago, or is unknown."""
+        """(n, 4) commands in force at times (n,); NaN where the last one is older than longest_s, or unknown."""
         history = self.vehicles[vehicle]
         rows = np.arange(history.oldest, history.newest + 1) % len(history.times_s)
         sent_s = history.times_s[rows]
@@ -104,7 +104,7 @@ def last_before(history, time_s):
 
 @compiled
 def last_by(history, time_s, k):
-    """k of the last command, of k and those before it, that was sent by time_s."""
+    """k of the last command that was sent by time_s, searched backwards from k."""
     rows = len(history.times_s)
     while k > history.oldest and history.times_s[k % rows] > time_s:
         k -= 1

@@ -1,4 +1,4 @@
-"""Every change of frame and of angle convention, once (thesis 6.1.2; conventions of the message definitions).
+"""All conversions between frames and angle conventions (thesis 6.1.2; conventions of the message definitions).
 
 Frames
     cortex    x forward, y left, z up; origin on the arena floor. What mocap, the messages, tf and rviz use.

@@ -1,4 +1,4 @@
-"""Messages and files -> pictures: own arrays (h, w, 3) of uint8, blue green red. Needs no ROS."""
+"""Pictures from messages and files: arrays (h, w, 3) of uint8 that own their data, blue green red. No ROS."""
 
 import pathlib
 
@@ -33,7 +33,7 @@ class PictureError(ValueError):
 def picture_from_msg(message):
     """Picture of a sensor_msgs/Image or CompressedImage, of rospy or of the rosbags library. Raises PictureError.
 
-    Of 16 bits the upper 8 are kept.
+    Of 16-bit values the upper 8 bits are kept.
     """
     if hasattr(message, "format"):
         damaged, picture = "a compressed picture (%s) is damaged" % message.format, None

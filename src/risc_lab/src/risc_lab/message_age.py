@@ -4,7 +4,7 @@ import math
 
 
 class MessageAges:
-    """Ages by stamp, corrected for a clock of ours that is behind.
+    """Ages by stamp, corrected if our clock is behind.
 
     No message is received before it was sent: an age below zero is a difference of the clocks, and without
     correction every later message would seem that much younger than it is. A clock that is ahead makes messages
@@ -20,9 +20,9 @@ class MessageAges:
         self.behind_s = 0.0
 
     def corrected(self, age_s, now_s):
-        """Age [s] of a message when it arrived, at least.
+        """Least possible age [s] of a message when it arrived.
 
-        age_s: its arrival by our clock less its stamp by the sender's [s]. now_s: of a clock of ours that never steps.
+        age_s: its arrival by our clock less its stamp by the sender's [s]. now_s: of our clock that never steps.
         """
         if now_s - self._period_s >= self._memory_s:
             self._period_s, self._before_s, self._least_s = now_s, self._least_s, 0.0

@@ -2,14 +2,14 @@
 
 import os
 
-# The kernel tells a program of its parent's death from when it has been asked to; a parent that was gone before is not
-# $PPID any more.
+# The kernel signals the death of a program's parent only once it has been asked to; if the parent was gone before that,
+# $PPID is another process.
 _UNLESS_ORPHAN = '[ "$PPID" = "$0" ] && exec "$@"'
 
 
 def mortal(signal, command):
-    """The command (list of str) with which a program is sent a signal ("INT") when the thread that has started it ends.
+    """Wrap a command (list of str) so that its process gets a signal ("INT") when the thread that started it ends.
 
-    To be started by this process itself. Let that thread be the main one: others end sooner.
+    Start it from this process itself, in the main thread: other threads end sooner.
     """
     return ["setpriv", "--pdeathsig", signal, "sh", "-c", _UNLESS_ORPHAN, str(os.getpid()), *map(str, command)]

@@ -1,4 +1,4 @@
-"""What references and the operator of a flight do: the numbers of VehiclePhase, OperatorState and VehicleOut of
+"""Phases of references and of the operator of a flight: the numbers of VehiclePhase, OperatorState and VehicleOut of
 risc_maap_msgs.
 """
 
@@ -29,7 +29,7 @@ class OperatorPhase(enum.IntEnum):
 
 
 class OperatorResult(enum.IntEnum):
-    """How it ended."""
+    """How a flight ended."""
 
     RUNNING = 0  # not yet
     OK = 1
@@ -37,7 +37,7 @@ class OperatorResult(enum.IntEnum):
 
 
 class OutCause(enum.IntEnum):
-    """Why a vehicle takes no part in a flight any more."""
+    """Why a vehicle dropped out of a flight."""
 
     LADDER = 1  # its safety ladder landed it
     LANDED = 2  # it landed by itself
@@ -48,5 +48,5 @@ class OutCause(enum.IntEnum):
 
 
 def phase_words(vehicles):
-    """dict name -> word of the phase, e.g. "course". vehicles: VehiclePhase[], rospy's or those that rosbags reads."""
+    """dict name -> word of the phase, e.g. "course". vehicles: VehiclePhase[], of rospy or of rosbags."""
     return {vehicle.name: TrajectoryPhase(vehicle.phase).name.lower() for vehicle in vehicles}

@@ -1,9 +1,9 @@
-"""Which programs go first on a busy computer: for root, or where RLIMIT_NICE allows it (`./maap setup` says how).
+"""Priorities of programs on a busy computer: for root, or where RLIMIT_NICE allows it (`./maap setup` says how).
 
 For other users nothing changes.
 
-Linux divides the processor among sessions first and among their threads then (autogroup, on by default), and roslaunch
-gives every node a session of its own: a niceness alone says nothing to the other nodes. So the leader of a session sets
+Linux divides the processor first among sessions, then among their threads (autogroup, on by default), and roslaunch
+gives every node a session of its own: a niceness alone has no effect on other nodes. So the leader of a session sets
 the session's niceness as well.
 """
 
@@ -11,7 +11,7 @@ import contextlib
 import os
 
 VIRTUAL_LAB = -10  # it stands for other computers with their own processors
-FLIGHT = -5  # what lies between the frame and the command
+FLIGHT = -5  # nodes between motion capture frame and command
 
 _AUTOGROUP = "/proc/self/autogroup"  # missing when the kernel has no autogroups
 

@@ -16,8 +16,8 @@ class Registry:
 
     A member of the tree is PACKAGE/NAME.py and config/KIND/NAME.yaml of its ROS package. One from elsewhere, e.g. a
     student's, is KIND/NAME.py and KIND/NAME.yaml in a folder that the environment variable RISC_MAAP_MEMBERS names
-    (several: with ":" between). It is imported as a module of the same package, so it takes part in everything as one
-    of the tree does; a name that the tree has already is an error. Modules whose name begins with _ are not members.
+    (several: with ":" between). It is imported as a module of the same package, so it works everywhere like one of
+    the tree; a name that the tree has already is an error. Modules whose name begins with _ are not members.
 
         REGISTRY = Registry("controllers", __name__)    # in risc_control/controllers/__init__.py
         REGISTRY.module("lqr").Controller(...)
@@ -31,7 +31,7 @@ class Registry:
         self._known = {}  # {(name, folders of members): module}
 
     def names(self):
-        """Names of all members, sorted. Raises ValueError for a folder that is not there, or a name that is twice."""
+        """Names of all members, sorted. Raises ValueError for a missing folder or a duplicate name."""
         folders = [str(folder / self.kind) for folder in member_folders()]
         self._package.__path__[:] = self._own_path + folders
         found = [module.name for folder in self._package.__path__ for module in pkgutil.iter_modules([folder])]
@@ -50,7 +50,7 @@ class Registry:
         known = self.names()
         if name not in known:
             raise ValueError("unknown name '%s' among the %s; known are: %s" % (name, self.kind, ", ".join(known)))
-        importlib.invalidate_caches()  # files may be younger than the last look at their folder
+        importlib.invalidate_caches()  # files may be newer than the cached list of their folder
         try:
             return importlib.import_module("%s.%s" % (self._package.__name__, name))
         except (ImportError, SyntaxError) as error:
@@ -59,7 +59,7 @@ class Registry:
     def settings(self, name, kind=dict):
         """Content of the member's YAML file, as an instance of a dataclass of settings if one is given.
 
-        Raises ValueError, also when that class, which the member's module names, is none.
+        Raises ValueError, also when that class, which the member's module names, is no dataclass.
         """
         self.module(name)
         path = config_files(self.kind, self._package.__name__.split(".")[0]).get(name)

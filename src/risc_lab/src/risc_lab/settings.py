@@ -10,7 +10,7 @@
 
 The content of a file, of the parameter server or of a command line goes through `settings_from`, which rejects values
 of the wrong type or outside their limits, and misspelt keys; fields that are dataclasses are nested mappings.
-What is made in a program has its limits checked as well. Each problem is one ValueError that names the key.
+Instances that a program makes have their limits checked as well. Each problem is one ValueError that names the key.
 """
 
 import functools
@@ -41,7 +41,7 @@ def between(least, greatest):
 
 # Two threads that let msgspec look at the same class for the first time crash the process (seen with 0.22.0).
 _CONVERTING = threading.RLock()
-_WORDS = {  # msgspec's, in those of a YAML file
+_WORDS = {  # msgspec's names of types, in the words of a YAML file
     "float": "a number",
     "int": "a whole number",
     "str": "a text",
@@ -66,14 +66,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class NoParams(Settings):
-    """Of a member that has no numbers of its own."""
+    """Settings of a member that has none."""
 
 
 def settings_from(kind, values, where="", lenient=False):
-    """An instance of a dataclass from a mapping; a key that is absent leaves the default, without one it is required.
+    """An instance of a dataclass from a mapping. An absent key leaves the default; fields without one are required.
 
-    where: what the values are, e.g. the path of their file; begins each error.  lenient: texts that hold a number or a
-    truth value count, and 0 and 1 as false and true.  Raises ValueError.
+    where: what the values are, e.g. the path of their file; begins each error.  lenient: accept strings that hold a
+    number or a truth value, and 0 and 1 for false and true.  Raises ValueError.
     """
     made = _convert(_checked(kind, values, where, ""), kind, where, strict=not lenient)
     if lenient:  # texts may have become numbers that are not finite
@@ -84,7 +84,7 @@ def settings_from(kind, values, where="", lenient=False):
 def _checked(hint, values, where, path):
     """The values, with 3 for 3.0 where a whole number is wanted.
 
-    Raises ValueError for numbers that are not finite, and for keys that the dataclass, or one within it, has not.
+    Raises ValueError for numbers that are not finite, and for keys that the dataclass, or a nested one, does not have.
     """
     if isinstance(values, float):
         if not math.isfinite(values):
@@ -112,7 +112,7 @@ def _checked(hint, values, where, path):
 
 
 def _takes(kind, hint):
-    """Whether a type, or one of those that it is made of, is this one."""
+    """Whether a type hint is this type, or contains it."""
     return hint is kind or any(_takes(kind, part) for part in typing.get_args(hint))
 
 
@@ -133,7 +133,7 @@ def _convert(value, hint, where, key="", strict=True):
         if missing:
             raise ValueError(_said(where, "%s%s.%s" % (key, path, missing[1]), "is missing")) from None
         wanted = re.sub(r"`([\w |]+)`", _in_words, text.partition(", got")[0])
-        if text.startswith("Invalid enum value"):  # of a type that takes other things beside these texts
+        if text.startswith("Invalid enum value"):  # of a type that accepts other values besides these strings
             kinds = [part for part in typing.get_args(_hint_at(hint, path)) if part is not ...]
             wanted = "must be " + (" or ".join(map(_kind_in_words, kinds)) or "another value")
         found = ", found %r" % (_at(value, path),)
@@ -141,14 +141,14 @@ def _convert(value, hint, where, key="", strict=True):
 
 
 def _plain(value):
-    """The same without numpy's scalars."""
+    """The value with numpy's scalars replaced by Python's."""
     if isinstance(value, np.generic):
         return value.item()
     return tuple(map(_plain, value)) if isinstance(value, (tuple, list)) else value
 
 
 def _in_words(types):
-    """Of a match of msgspec's `float | null`: a number or nothing."""
+    """Words for a match of msgspec's `float | null`: a number or nothing."""
     return " or ".join(_WORDS.get(word, word) for word in types[1].split(" | "))
 
 
@@ -161,7 +161,7 @@ def _hint_at(hint, path):
 
 
 def _kind_in_words(hint):
-    """Of a part of `float | Literal[""]`: a number; empty."""
+    """Words for a part of `float | Literal[""]`: a number; empty."""
     if typing.get_origin(hint) is typing.Literal:
         return " or ".join("'%s'" % choice if choice else "empty" for choice in typing.get_args(hint))
     return _WORDS.get(getattr(hint, "__name__", ""), str(hint))
@@ -172,7 +172,7 @@ def _said(where, key, text):
 
 
 def _at(value, path):
-    """What stands at a path as msgspec writes it, e.g. ".vehicles[0].name"."""
+    """Value at a path as msgspec writes it, e.g. ".vehicles[0].name"."""
     for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", path):
         value = value[name] if name else value[int(index)]
     return value

@@ -18,9 +18,9 @@ class S(IntEnum):
 
 
 class States(NamedTuple):
-    """What is known of n vehicles."""
+    """States of n vehicles."""
 
-    visible: np.ndarray  # (n,) bool; the other rows mean nothing where False
+    visible: np.ndarray  # (n,) bool; where False the row of x means nothing
     x: np.ndarray  # (n, 12), columns `S`
 
     @property

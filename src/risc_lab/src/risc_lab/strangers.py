@@ -1,4 +1,4 @@
-"""Senders to a port of ours that are not allowed: refused, counted, and named once. No ROS.
+"""Senders that are not allowed at one of our ports: refused, counted, and named once. No ROS.
 
 Senders are told apart by their addresses. A forged address is taken for its owner's: see docs/security.md.
 """
@@ -10,12 +10,12 @@ import socket
 import struct
 from collections import Counter
 
-MAX_NAMED = 16  # addresses of one port; the senders of a flood are as many as they like
+MAX_NAMED = 16  # addresses per port; a flood may have any number of senders
 SEEN = 64  # datagrams of strangers that the program looks at before the kernel refuses them
-SAMPLE = 1024  # of those that the kernel refuses, one in this many gets through all the same, so that it can be named
+SAMPLE = 1024  # one in this many of those that the kernel refuses gets through, so that its sender can be named
 
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER, _SO_MEMINFO = 26, 27, 55  # asm-generic/socket.h; Python has no names for them
-_MEMINFO = struct.Struct("=9I")  # the last is how many datagrams were not taken
+_MEMINFO = struct.Struct("=9I")  # the last is the number of datagrams dropped
 # A program of classic BPF, see linux/filter.h: code, jump if true, jump if false, operand
 _INSTRUCTION = struct.Struct("=HBBI")
 _LOAD_WORD, _LOAD_HALF, _IF_EQUAL, _IF_ANY_BIT, _RETURN = 0x20, 0x28, 0x15, 0x45, 0x06
@@ -24,16 +24,16 @@ _ALL_BYTES = 0x40000
 
 
 class Strangers:
-    """Those that were refused by one port. To be used by one thread; others may read."""
+    """Senders that one port has refused. To be used by one thread; others may read."""
 
     def __init__(self, report, port):
         """report: function (level, text).  port: its name, for people."""
         self._report, self._port = report, port
         self.count = 0  # how often a sender was refused
-        self._times = Counter()  # by address, None: those that are too many to name
+        self._times = Counter()  # by address; None: those beyond MAX_NAMED
 
     def refuse(self, address, cure=""):
-        """A sender was refused. cure: what to do if it should be allowed; said with its address, once."""
+        """Count a refused sender. cure: what to do if it should be allowed; reported with its address, once."""
         if address not in self._times:
             if len(self._times) >= MAX_NAMED:
                 address = None
@@ -44,7 +44,7 @@ class Strangers:
         self.count += 1
 
     def __str__(self):
-        """Which addresses, how often."""
+        """Addresses, and how often each was refused."""
         times = self._times.copy()
         others = times.pop(None, 0)
         named = ["%s: %d" % item for item in times.most_common()] + ["others: %d" % others] * bool(others)
@@ -52,7 +52,7 @@ class Strangers:
 
 
 class Guests:
-    """Which may connect to a port that listens: this computer, and the addresses given."""
+    """Hosts that may connect to a listening port: this computer, and the addresses given."""
 
     def __init__(self, texts=()):
         """texts: addresses, and networks such as A.B.C.0/24. Raises ValueError."""
@@ -72,7 +72,7 @@ class Guests:
 
 
 def _plain(text):
-    """An address; IPv4 as such, also where a socket of IPv6 tells it."""
+    """An address; IPv4 as such, also where an IPv6 socket reports it as a mapped one."""
     address = ipaddress.ip_address(text)
     return getattr(address, "ipv4_mapped", None) or address
 
@@ -80,24 +80,24 @@ def _plain(text):
 class OneSender:
     """Lets a datagram socket hear one sender only.
 
-    When others send much the kernel refuses it before it takes room in the socket's buffer and time of the program.
+    When others send many datagrams, the kernel drops them before they take room in the socket's buffer and CPU time.
     """
 
     def __init__(self, sock, strangers, cure=""):
         """cure: see Strangers.refuse."""
         self._socket, self._strangers, self._cure = sock, strangers, cure
         self._address = self._port = None
-        self._seen, self._closed_at = 0, None  # what the kernel had not taken when it was told to refuse
+        self._seen, self._closed_at = 0, None  # _closed_at: datagrams dropped before the kernel was told to refuse
 
     def hear(self, address, port=None):
-        """From now on this IPv4 address, from any port or from one, is heard and no other."""
+        """From now on hear only this IPv4 address, from any port or from the one given."""
         self._address, self._port, self._seen = address, port, 0
         if self._closed_at is not None:
             self._closed_at = None
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
 
     def is_from(self, sender):
-        """Whether (address, port) is the one; others are refused."""
+        """Whether (address, port) is the sender to hear; others are refused."""
         if sender[0] == self._address and self._port in (None, sender[1]):
             return True
         self._strangers.refuse(sender[0], self._cure)
@@ -108,7 +108,7 @@ class OneSender:
 
     @property
     def refused(self):
-        """Datagrams that were refused. Those that found the socket's buffer full are among them."""
+        """Number of datagrams refused, including those dropped because the socket's buffer was full."""
         by_kernel = 0
         if self._closed_at is not None:
             with contextlib.suppress(OSError):  # closed

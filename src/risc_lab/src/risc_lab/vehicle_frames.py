@@ -23,7 +23,7 @@ class FrameTransform(NamedTuple):
 
 
 def body_frame(name):
-    """Name of a vehicle's body frame. name: of its mocap template."""
+    """Name of a vehicle's body frame. name: its mocap template."""
     return name + "_body_frame"
 
 

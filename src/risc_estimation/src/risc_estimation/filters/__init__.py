@@ -18,30 +18,30 @@ from risc_lab.states import S
 
 REGISTRY = Registry("filters", __name__)
 DEFAULT = "least_squares"
-COMMAND = "command"  # what `on_board` calls a command that a vehicle was sent
+COMMAND = "command"  # what `on_board` calls a command that was sent to a vehicle
 
 
 class Status(enum.IntEnum):
-    """What the state of a body rests on. From TRACKED on it is visible."""
+    """How the state of a body was obtained. From TRACKED on it is visible."""
 
-    LOST = 0  # no pose, and the filter does without none
+    LOST = 0  # no pose, and the filter does not predict without one
     OUTSIDE = 1  # seen outside of the arena
     SETTLING = 2  # seen, but not for long enough
     TRACKED = 3
-    PREDICTED = 4  # no pose in this frame: the filter goes on without
-    SUSPECT = 5  # a pose that cannot be true: the filter goes on without
+    PREDICTED = 4  # no pose in this frame: the filter predicts
+    SUSPECT = 5  # an implausible pose: the filter predicts
     REACQUIRED = 6  # tracked again, for a short time so far: the state may have jumped
 
 
-# What has become of the poses of a body, from the start on; `risc_maap_msgs/BodyStatus` explains them.
+# What became of the poses of a body since the start; `risc_maap_msgs/BodyStatus` explains them.
 COUNTS = record(*[(name, int) for name in ("poses", "positions_refused", "attitudes_refused", "late", "resets")])
 
 
 class Innovations(NamedTuple):
-    """How far the poses of the newest frame were from what was predicted. Rows are bodies."""
+    """Innovations of the poses of the newest frame. Rows are bodies."""
 
-    # (n, 3) y^T S^-1 y of position, of attitude (3 degrees of freedom each) and of both (6); NaN where there was no
-    # pose, or nothing to predict it by
+    # (n, 3) y^T S^-1 y of position, of attitude (3 degrees of freedom each) and of both (6); NaN without a pose or
+    # without a prediction
     squares: np.ndarray
     taken: np.ndarray  # (n, 2) bool: position, attitude
 
@@ -50,25 +50,25 @@ class VelocityFilter:
     """Interface of all filters. Rows are bodies, in the order in which they were added. SI units, cortex frame."""
 
     PARAMS = None  # dataclass of settings (`risc_lab.settings`), a field for each key of the YAML file
-    late_s = 0.0  # [s] poses may be older by so much than the newest that it has been given; 0 = only newer ones come
+    late_s = 0.0  # [s] poses may be this much older than the newest one given; 0 = only newer ones are given
     COASTS = False  # it goes on without frames, see `coast`
-    GATES = False  # it refuses poses by itself, and wants those that contradict where a body was, too
+    GATES = False  # it refuses poses by itself, and wants those that contradict the track, too
     ON_BOARD = ()  # what `on_board` is to be given: COMMAND, quantities of `risc_estimation.sensors`; () costs nothing
 
     def __init__(self, params):
         """params: PARAMS."""
         self.params = params
-        self.states = np.zeros((0, len(S)))  # (bodies, 12), columns `S`; the last known where not visible, first 0
-        self.visible = np.zeros(0, dtype=bool)  # (bodies,) the states are those of the newest frame, and to fly by
+        self.states = np.zeros((0, len(S)))  # (bodies, 12), columns `S`; last known values where not visible, first 0
+        self.visible = np.zeros(0, dtype=bool)  # (bodies,) the states are of the newest frame, and good to fly by
 
     def add_body(self, template, vehicle_type=None):
-        """One more row. template: risc_lab.lab.templates.Template; of an attached body the attitude means nothing.
+        """Add a row. template: risc_lab.lab.templates.Template; the attitude of an attached body means nothing.
         vehicle_type: VehicleType of a vehicle of the fleet.
         """
         self.states, self.visible = with_row(self.states), with_row(self.visible)
 
     def reset(self):
-        """Forget all measurements: their times mean nothing on the clock that the next frame has."""
+        """Forget all measurements: their times mean nothing on the clock of the next frame."""
         raise NotImplementedError
 
     def update(self, poses):
@@ -80,42 +80,42 @@ class VelocityFilter:
         raise NotImplementedError
 
     def coast(self, stamp_s):
-        """Bring states and visible to a time for which no frame has come. Whether anybody is visible then."""
+        """Bring states and visible to a time for which no frame has come. True if any body is visible then."""
         return False
 
     def on_board(self, row, stamp_s, what, values):
-        """Take what does not come from motion capture, in the order of arrival. Asked for by ON_BOARD.
+        """Take a command or an on-board measurement, in the order of arrival: only what ON_BOARD lists.
 
         row: of the body; stamp_s: of the measurement, or when the command was sent [s], maybe later than that of the
-        next frame; values: array, of a COMMAND as `risc_maap_msgs/CommandSent`: what roll, pitch [rad], climb loop and
-        yaw rate [rad/s] settle at, in force until the next; else as in `risc_estimation.sensors`.
+        next frame; values: array. Of a COMMAND as in `risc_maap_msgs/CommandSent`: values at which roll, pitch [rad],
+        climb loop and yaw rate [rad/s] settle, in force until the next one; else as in `risc_estimation.sensors`.
         """
 
     def status(self, poses):
-        """List of Status of the bodies in the newest frame, whose `Poses` these are."""
+        """List of Status of the bodies in the newest frame. poses: its `Poses`."""
         return status_of(poses, self.visible)
 
     def counters(self):
         """(bodies,) COUNTS up to now; None if it does not count."""
 
     def covariances(self):
-        """(bodies, 12, 12) of the states; None if it does not know. Called only when somebody asks.
+        """(bodies, 12, 12) covariances of the states; None if the filter has none. Called on demand.
 
-        States_estimation publishes them on state_covariances while somebody listens.
+        states_estimation publishes them on state_covariances while there is a subscriber.
         """
 
     def accelerations(self):
-        """(bodies, 3) [m/s^2] cortex axes, by its model, of the newest states: 0 in a hover. None if it has no model.
+        """(bodies, 3) accelerations [m/s^2] in cortex axes, by its model, at the newest states: 0 in a hover.
 
-        NaN where the model knows nothing: of a body that follows no known command. Called only when somebody asks.
+        NaN for a body without a known command. None if the filter has no model. Called on demand.
         """
 
     def innovations(self, poses):
-        """Innovations of the newest frame, whose `Poses` these are; None if it has none. Only when somebody asks."""
+        """Innovations of the newest frame; None if the filter has none. poses: its `Poses`. Called on demand."""
 
 
 def make_filter(name=DEFAULT, given=None):
-    """A filter by name, with the settings of its YAML file, those in the dict `given` replaced.
+    """A filter by name, with the settings of its YAML file; the dict `given` replaces some of them.
 
     Raises ValueError for an unknown name, an unknown key or a bad value.
     """
@@ -124,7 +124,7 @@ def make_filter(name=DEFAULT, given=None):
 
 
 def status_of(poses, visible):
-    """List of Status of the bodies of `Poses`, visible or not ((bodies,) bool) according to a filter."""
+    """List of Status of the bodies of `Poses`. visible: (bodies,) bool, of the filter."""
     return [
         (Status.TRACKED if present else Status.PREDICTED)
         if shown

@@ -1,17 +1,17 @@
-"""Extended Kalman filter on the raw poses: vehicles by their models and what they were sent (thesis 7.6 to 7.8).
+"""Extended Kalman filter on the raw poses, with vehicle models and the commands that were sent (thesis 7.6 to 7.8).
 
-Every frame is an event of each body: the filter is brought to its stamp, and a pose is taken if it can be true. A pose
-is refused, position and attitude each for itself, when its innovation is so large as one in 1 / gate_probability is.
-A late pose is put where it belongs, and what came after it is filtered again.
+Every frame is an event for each body: the filter predicts to its stamp, and takes a pose if it is plausible. Position
+and attitude are refused each for itself, when the innovation exceeds what a good pose exceeds with gate_probability. A
+late pose is inserted at its own time, and what came after it is filtered again.
 
-What pushes a vehicle otherwise than its model says, and begins at once (a load, wind), makes innovations grow to one
-side over several poses, where a false pose makes one large at once. When the mean of those of position is too large,
-the state is taken for uncertain by a push of `push_m_s2` before the next pose is judged.
+A sudden unmodelled force (a load, wind) makes innovations grow to one side over several poses, where a false pose makes
+one large at once. When the mean innovation of position is too large, the uncertainty of a push of `push_m_s2` is added
+to the state before the next pose is judged.
 
-A body has a track, which is visible, and up to two others. One begins with a pose that the track refuses: when poses
-have agreed with it, and not with the track, for `readmit_s`, it becomes the track. The other one is the track that it
-replaced, which is the track again with the first pose that agrees with it, and is forgotten after `remember_s`: what is
-false may last longer than `readmit_s`, and when it ends a vehicle is where it was predicted to be.
+A body has a track, which is visible, and up to two others. The candidate starts with a pose that the track refuses:
+when poses have agreed with it, and not with the track, for `readmit_s`, it becomes the track. The former track is the
+one that was replaced. It becomes the track again with the first pose that agrees with it, and is forgotten after
+`remember_s`: false poses may last longer than `readmit_s`, and after them a vehicle is where it was predicted to be.
 """
 
 import math
@@ -29,17 +29,17 @@ from risc_lab.lab import templates as kinds
 from risc_lab.settings import NotNegative, Positive, Settings, between
 from risc_lab.states import S
 
-_SLOTS = 192  # events that are kept of a body: late_s at twice the usual rate, with what is measured on board
+_SLOTS = 192  # events kept per body: late_s at twice the usual frame rate, on-board measurements included
 _TIME, POSE, _VELOCITY, _ATTITUDE = range(4)  # kinds of events
-# the states that the entries of a measurement are of
+# by kind: the state that each entry of a measurement measures
 MEASURES = np.array([[0] * 6, [0, 1, 2, 6, 7, 8], [3, 4, 0, 0, 0, 0], [6, 7, 0, 0, 0, 0]])
 _UNKNOWN_M_S, _UNKNOWN_RAD_S, _UNKNOWN_M_S2 = 2.0, 2.0, 0.5  # 1 sigma where nothing was measured yet
 _CANDIDATE, _FORMER = 0, 1  # the other tracks
-_SMOOTHS = 0.2  # share of the newest innovation in their mean, which is a push from this square on
+_SMOOTHS = 0.2  # weight of the newest innovation in their mean; from this square on it is a push
 _TOO_LARGE = 30.0 * _SMOOTHS / (2.0 - _SMOOTHS)
-_PUSHED_S = 0.05  # since when it is pushed
-_LOST_M2 = 1.0  # variance of the position of a track that is given up
-_GONE_S = 0.1  # who had no pose for longer is acquired again, and said to be for as long
+_PUSHED_S = 0.05  # assumed duration of the push so far
+_LOST_M2 = 1.0  # variance of the position above which a track is given up
+_GONE_S = 0.1  # a body that had no pose for longer is REACQUIRED for as long
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Filter(VelocityFilter):
         self._models, self._bodies = np.zeros(0, MODEL), np.zeros(0, BODY)
         self._slots, self._others = np.zeros((0, _SLOTS), SLOT), np.zeros((0, 2), OTHER)
         self._sent = CommandHistory(0).vehicles
-        self._last = []  # {kind: reading} of each body: one that repeats is none
+        self._last = []  # {kind: newest reading} of each body, to ignore repeated ones
         self._collect()
         # without and with a body: loads the compiled code
         self.coast(0.0)
@@ -139,7 +139,7 @@ class Filter(VelocityFilter):
             return
         reading = values.tolist()
         if reading == self._last[row].get(what) or not self._models["follows"][row]:
-            return  # it stands still: nobody has measured that
+            return  # repeated: not a new measurement
         self._last[row][what] = reading
         kind, noise = {
             "velocity": (_VELOCITY, self.params.velocity_noise_m_s),
@@ -218,7 +218,7 @@ def _update(
         track = slots[i, body.newest % _SLOTS].track
         unseen_s, variance_m2 = track.stamp_s - body.taken_s, max(track.P[0, 0], track.P[1, 1], track.P[2, 2])
         if variance_m2 > _LOST_M2:
-            body.count = 0  # the next pose is a new beginning
+            body.count = 0  # the next pose starts a new track
         if unseen_s > settings[0].coast_s or variance_m2 > settings[0].coast_m2:
             body.status = Status.LOST
         elif unseen_s <= 0.0 and not inside:
@@ -245,9 +245,9 @@ def _accelerations(models, bodies, slots, sent, work, found):
 
 @compiled
 def _covariance_of_angles(covariance, angles_rad, R):
-    """Fill R (6, 6): that of position and phi, theta, psi, of that of position and a small rotation about cortex axes.
+    """Fill R (6, 6), covariance of position and phi, theta, psi, from that of position and a small rotation.
 
-    A rotation about cortex x, y, z is one about north, west and up.
+    A rotation about cortex x, y, z, as in covariance, is one about north, west and up.
     """
     sin_psi, cos_psi = math.sin(angles_rad[2]), math.cos(angles_rad[2])
     tan_theta, T = math.tan(angles_rad[1]), np.zeros((3, 3))
@@ -268,7 +268,7 @@ def _covariance_of_angles(covariance, angles_rad, R):
 
 @compiled
 def _on_board(stamp_s, row, kind, values, variance, settings, models, bodies, slots, others, sent, work, counts):
-    """What a body measures itself."""
+    """Take an on-board measurement of a body."""
     z, R = np.zeros(6), np.zeros((6, 6))
     z[0], z[1], R[0, 0], R[1, 1] = values[0], values[1], variance, variance
     _take(
@@ -289,10 +289,10 @@ def _on_board(stamp_s, row, kind, values, variance, settings, models, bodies, sl
 
 @compiled
 def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work, counts):
-    """An event of a body."""
+    """Take an event of a body: a pose, an on-board measurement, or a frame without a pose."""
     if body.count == 0:
         if kind == POSE:
-            counts.resets += counts.poses > 0  # it was another one before
+            counts.resets += counts.poses > 0  # there was another track before
             counts.poses += 1
             body.count, body.newest, body.taken_s, body.again_s = 1, 0, stamp_s, stamp_s
             _begin(slots[0].track, stamp_s, z, R)
@@ -300,14 +300,14 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
         return
     n = len(slots)
     newest_s = slots[body.newest % n].track.stamp_s
-    place = body.newest + 1  # of the event, counted on
+    place = body.newest + 1  # running number of the event
     if stamp_s < newest_s:
         counts.late += 1
         oldest = body.newest - body.count + 1
         while place - 1 >= oldest and slots[(place - 1) % n].track.stamp_s > stamp_s:
             place -= 1
         if place == oldest:
-            return  # nothing is known of so long ago
+            return  # older than all events that are kept
     for k in range(body.newest, place - 1, -1):
         slots[(k + 1) % n] = slots[k % n]
     slot = slots[place % n]
@@ -343,7 +343,7 @@ def _take(stamp_s, kind, z, R, settings, model, body, slots, others, sent, work,
 
 @compiled
 def _begin(track, stamp_s, z, R):
-    """A new track by a pose alone."""
+    """Start a track from a single pose."""
     track.stamp_s, track.surprise[:], track.x[:], track.P[:, :] = stamp_s, 0.0, 0.0, 0.0
     for i in range(6):
         track.x[MEASURES[POSE, i]] = z[i]
@@ -356,13 +356,13 @@ def _begin(track, stamp_s, z, R):
 
 @compiled
 def _measure(slot, settings, work):
-    """Take what a slot has measured, as far as it can be true."""
+    """Take the measurement of a slot, as far as it passes the gate."""
     slot.taken[0] = slot.taken[1] = 0
     if slot.kind == POSE:
         _take_pose(slot.track, slot.z, slot.R, slot.taken, settings, work)
     elif slot.kind != _TIME:
         rows = MEASURES[slot.kind]
-        if slot.kind == _VELOCITY:  # level: forward and right
+        if slot.kind == _VELOCITY:  # in level axes: forward, right
             forward, right = slot.z[0], slot.z[1]
             cos_psi, sin_psi = math.cos(slot.track.x[8]), math.sin(slot.track.x[8])
             z = np.zeros(6)
@@ -375,7 +375,7 @@ def _measure(slot, settings, work):
 
 @compiled
 def _take_pose(track, z, R, taken, settings, work):
-    """Position and attitude, each if it passes the gate."""
+    """Take position and attitude, each if it passes the gate."""
     rows = MEASURES[POSE]
     mean = track.surprise
     if mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2] > _TOO_LARGE and settings.push_m_s2 > 0.0:
@@ -398,7 +398,7 @@ def _take_pose(track, z, R, taken, settings, work):
 
 @compiled
 def _innovations(stamp_s, squares, taken, models, bodies, slots, sent, spare, work):
-    """Fill squares and taken of a frame's poses: the event before is predicted to the frame once more."""
+    """Fill squares and taken for the poses of a frame, predicted once more from the event before."""
     rows, track = MEASURES[POSE], spare[0]
     for i in range(len(bodies)):
         n, oldest = slots.shape[1], bodies[i].newest - bodies[i].count + 1
@@ -418,7 +418,7 @@ def _innovations(stamp_s, squares, taken, models, bodies, slots, sent, spare, wo
 
 @compiled
 def _go_elsewhere(stamp_s, z, R, settings, model, body, slots, others, sent, work, counts):
-    """The track has refused a pose: whether another one takes its place."""
+    """Try a pose that the track has refused on the other tracks; one of them may replace the track."""
     taken = np.zeros(2, dtype=np.int64)
     for k in range(2):
         other = others[k]
@@ -446,7 +446,7 @@ def _go_elsewhere(stamp_s, z, R, settings, model, body, slots, others, sent, wor
 
 @compiled
 def _change_to(stamp_s, other, former, body, slots):
-    """The other track becomes the one of the body, which becomes the former one."""
+    """Make the other track that of the body, and keep the replaced one as the former track."""
     slot = slots[body.newest % len(slots)]
     x, P, taken_s = slot.track.x.copy(), slot.track.P.copy(), body.taken_s
     slot.track.surprise[:], slot.track.x[:], slot.track.P[:, :] = other.track.surprise, other.track.x, other.track.P

@@ -40,11 +40,11 @@ SETTINGS = record(("min_samples", int), ("min_span_s", float), ("smooth_position
 
 
 class Filter(VelocityFilter):
-    """A vehicle is visible when it is seen inside the arena and both windows hold enough for a rate.
+    """A vehicle is visible when it is seen inside the arena and both windows hold enough samples for a rate.
 
     That is `min_samples` that span `min_span_s`: the tenth frame at 200 Hz after a restart; a line then has 44 mm/s of
     noise for 2 mm positions. Dropouts up to `max_gap_s` do not restart the windows: the fit runs on real stamps, so the
-    vehicle is visible again with its first good frame. A pose that is elsewhere than those before restarts them.
+    vehicle is visible again with its first good frame. An accepted pose that contradicts those before restarts them.
     """
 
     PARAMS = Params
@@ -72,7 +72,7 @@ class Filter(VelocityFilter):
         self._arguments = self._settings, self.visible, self.states, *self._windows.arrays
 
 
-# The arrays come one by one, since a tuple of them takes three times as long to pass.
+# The arrays are passed one by one, since a tuple of them takes three times as long to pass.
 @compiled
 def _update(
     stamp_s, flags, measured,
@@ -101,5 +101,5 @@ def _update(
 
 @compiled
 def _is_settled(body, settings):
-    """Whether a window (least_squares.BODY) holds enough for a rate."""
+    """Whether a window (least_squares.BODY) holds enough samples for a rate."""
     return body.samples >= settings.min_samples and body.span_s >= settings.min_span_s

@@ -1,4 +1,4 @@
-"""Between the messages of cameras and bearings (degrees) and values (SI units): the only place that does it."""
+"""Converts between messages of cameras and bearings (degrees) and values (SI units); nothing else does."""
 
 import math
 

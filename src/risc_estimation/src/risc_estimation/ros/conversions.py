@@ -1,4 +1,4 @@
-"""Between messages (degrees, risc_msgs) and the estimator's values (SI units, numpy): the only place that does it."""
+"""Converts between messages (degrees, risc_msgs) and the estimator's values (SI units, numpy); nothing else does."""
 
 import math
 
@@ -58,14 +58,14 @@ def poses_to_msg(header, poses):
         message.known[name] = column
     numbers[:, :3] = poses.position_m
     if len(ever):
-        turns = np.where(ever[:, None, None], poses.rotation, np.eye(3))  # rotations to rounding: a check takes 0.3 ms
+        turns = np.where(ever[:, None, None], poses.rotation, np.eye(3))  # valid up to rounding: a check takes 0.3 ms
         numbers[:, 3:7] = Rotation.from_matrix(turns, assume_valid=True).as_quat()
     numbers[:, 7:43], numbers[:, 43] = poses.covariances().reshape(-1, 36), poses.residual_m
     return message
 
 
 def poses_from_msg(message):
-    """`PoseFrame` of a BodyPosesArrays: views, which the next message that it reads overwrites."""
+    """`PoseFrame` of a BodyPosesArrays: views, which its next message overwrites."""
     known, numbers = message.known, message.numbers
     present, inside, seconds, nanoseconds = (known[name] for name in known.dtype.names)
     stamps_s, covariances = seconds + nanoseconds / 1e9, numbers[:, 7:43].reshape(-1, 6, 6)
@@ -75,7 +75,7 @@ def poses_from_msg(message):
 
 
 def statuses_to_msg(header, names, statuses, counters):
-    """BodyStatuses of [Status] and (bodies,) `filters.COUNTS`, None: the filter does not count."""
+    """BodyStatuses of [Status] and (bodies,) `filters.COUNTS`, or None: the filter does not count."""
     message = BodyStatuses(header=header_for(header))
     rows = (
         [(False, *[0] * len(COUNTS))] * len(names) if counters is None else [(True, *row) for row in counters.tolist()]
@@ -91,7 +91,7 @@ def covariances_to_msg(header, names, covariances):
 
 
 def acceleration_to_msg(header, _state, acceleration_m_s2):
-    """PointStamped of an acceleration (3,) [m/s^2] in cortex axes; None of one that is not known (NaN)."""
+    """PointStamped of an acceleration (3,) [m/s^2] in cortex axes; None if it is not known (NaN)."""
     if not np.isfinite(acceleration_m_s2).all():
         return None
     return PointStamped(header_for(header), Point(*acceleration_m_s2.tolist()))
@@ -106,7 +106,7 @@ def position_cov_to_msg(header, state, covariance):
 
 
 class EstimateMessages:
-    """Cortex and Landmarks of an estimator, filled again and again: publish them before the next call."""
+    """Cortex and Landmarks of an estimator. Message objects are reused: publish them before the next call."""
 
     def __init__(self):
         self._states = CortexArrays(())
@@ -117,7 +117,7 @@ class EstimateMessages:
     def states(self, header, estimate):
         """Cortex of a FrameEstimate: an entry per known vehicle, degrees and deg/s.
 
-        Stamp and frame as in header, or, when it is None, as they were.
+        Stamp and frame as in header; unchanged when it is None.
         """
         message = self._states
         if message.names != estimate.names:

@@ -1,5 +1,5 @@
-"""What nodes with a filter have in common: states go out with every frame, between frames, and once at silence; what
-vehicles measure on board and were sent comes in; what the states rest on is told.
+"""Base of the nodes with a filter. Publishes states with every frame, between frames and once when frames stop, and how
+they were obtained. Subscribes to on-board measurements and to commands that were sent.
 """
 
 import math
@@ -24,13 +24,13 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import BodyStatuses, CommandsSent
 
-_GAP_PERIODS = 1.5  # of frames; after so long without one it is missing
+_GAP_PERIODS = 1.5  # of frames; after this long without one, one is missing
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 class Report(NamedTuple):
-    """What an estimator did, up to now. `new`, `rate_hz`: since the report before."""
+    """What an estimator did so far. `new`, `rate_hz`: since the last report."""
 
     counts: object  # EstimatorCounts
     names: tuple[str, ...]
@@ -39,7 +39,7 @@ class Report(NamedTuple):
     new: dict
     rate_hz: float  # of frames
     age_s: float  # of the newest frame; NaN: none yet
-    states: dict  # {name: what its state rests on, in words}
+    states: dict  # {name: status in words}
 
 
 def filter_kind(default):
@@ -49,12 +49,12 @@ def filter_kind(default):
 
 
 class EstimatorNode:
-    """Estimates frames in order; none is passed over unless the node was held up for longer than queue_s.
+    """Estimates frames in order; none is skipped unless the node was held up for longer than queue_s.
 
-    Subclasses make the estimator and hand on, with `lock` held, what it makes of each frame: `estimated`.
+    Subclasses make the estimator and pass its estimate of each frame to `estimated`, with `lock` held.
     """
 
-    INPUT = ""  # what frames are of, in words
+    INPUT = ""  # what frames hold, in words
 
     def __init__(self, estimator, kind, params, fleet, states_topic):
         """kind: class of the filter.  params: NodeParams.  fleet: Fleet or None.  states_topic: where states go."""
@@ -62,26 +62,26 @@ class EstimatorNode:
         self.lock = threading.Condition()  # frames, the silence timer and diagnostics have a thread each
         self._vehicles = fleet.vehicles if fleet else ()
         self._rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
-        self.period_s, self._silence_s = 1.0 / self._rate_hz, params.silence_s  # of frames; of none
+        self.period_s, self._silence_s = 1.0 / self._rate_hz, params.silence_s  # between frames; without any
         self._queue_frames = params.queue_frames(self._rate_hz)
-        self._frames = 0  # that were estimated
+        self._frames = 0  # number estimated
         self._last_receipt_s = None  # of the newest of them; monotonic clock
-        self._last_said_s = -math.inf  # when states were published that somebody is visible in; the same
+        self._last_said_s = -math.inf  # when states were published, except `lost` ones; monotonic clock
         self._delay_s = 0.0  # from exposure to estimate, of the newest frame
         self._last_estimate, self._silent = None, True
         self._header = Header()  # of the newest states
-        self._last_seq = None  # of the newest frame; publishers count them
+        self._last_seq = None  # of the newest frame; publishers number their messages
         self._passed_over = 0  # frames
         self._told_unknown, self._told_status = set(), None
         self._growth = Growth()
         self._messages = EstimateMessages()
-        # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
+        # Queues outlast a hiccup: a subscriber that was held up gets every frame, and judges its age by the stamp.
         self._states_pub = rospy.Publisher(states_topic, CortexArrays, queue_size=100, tcp_nodelay=True)
         self._status_pub = rospy.Publisher(states_topic + "_status", BodyStatuses, queue_size=100, tcp_nodelay=True)
         self._coasts = kind.COASTS
 
     def listen(self, topic, kind):
-        """Begin: `_on_frame` is called with the messages of a topic."""
+        """Start: `_on_frame` is called with each message of a topic."""
         ticking_updater("mocap").add("states estimation", self._diagnose)
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
@@ -91,7 +91,7 @@ class EstimatorNode:
         subscribe(topic, kind, self._on_frame, queue_size=self._queue_frames, buff_size=BUFFER_BYTES)
 
     def _on_frame(self, message):
-        """A frame, in a thread of its own."""
+        """Handle the message of a frame, in a thread of its own."""
         raise NotImplementedError
 
     def _listen_on_board(self, wanted):
@@ -116,18 +116,18 @@ class EstimatorNode:
             sensors.give(self.estimator, *arguments, message)
 
     def count(self, header):
-        """Note the number of a frame: whether others were passed over."""
+        """Count frames that were skipped, by the sequence number."""
         if self._last_seq is not None:
             self._passed_over += max(header.seq - self._last_seq - 1, 0)
         self._last_seq = header.seq
 
     def estimated(self, header, estimate):
-        """Publish the states of a frame, FrameEstimate or None. Whether there are any."""
+        """Publish the estimate of a frame, FrameEstimate or None. True if there is one."""
         if self.estimator.frames == self._frames:
-            return False  # frames that are refused are silence, too
+            return False  # refused frames count as silence
         self._frames, self._last_receipt_s = self.estimator.frames, time.monotonic()
         if estimate is None:
-            return False  # states of later were given already
+            return False  # later states have been published already
         self._delay_s = max(0.0, rospy.get_time() - estimate.stamp_s)
         self._give(header, estimate)
         return True
@@ -135,12 +135,12 @@ class EstimatorNode:
     def _give(self, header, estimate):
         self._last_estimate, self._silent, self._last_said_s = estimate, False, time.monotonic()
         stamp, self._header.frame_id = self._header.stamp, header.frame_id
-        stamp.secs, stamp.nsecs = header.stamp.secs, header.stamp.nsecs  # that of a frame is filled again
+        stamp.secs, stamp.nsecs = header.stamp.secs, header.stamp.nsecs  # a copy: the frame's header is reused
         self._states_pub.publish(self._messages.states(header, estimate))
         self._tell_status()
 
     def _on_gap(self):
-        """A frame is missing: states that the filter predicts, as old as those of the frames before it were."""
+        """If a frame is missing, publish states that the filter predicts, with the same delay as those of frames."""
         with self.lock:
             stamp_s, last = rospy.get_time() - self._delay_s, self._last_estimate
             if last is None or stamp_s - last.stamp_s < _GAP_PERIODS * self.period_s:
@@ -150,7 +150,7 @@ class EstimatorNode:
                 self._give(Header(stamp=rospy.Time.from_sec(stamp_s), frame_id=self._header.frame_id), estimate)
 
     def _on_check(self):
-        """Once per silence: tell everybody that the last numbers are just that. The stamp stays what it was."""
+        """Once per silence: publish the last states again, with nothing visible. The stamp is unchanged."""
         with self.lock:
             if self._silent or time.monotonic() - self._last_said_s < self._silence_s:
                 return
@@ -165,7 +165,7 @@ class EstimatorNode:
         return [Status.LOST] * len(self.estimator.names) if self._silent else self.estimator.status()
 
     def _tell_status(self, anyway=False):
-        """Publish it while somebody listens, if anything but what grows with every frame has changed, or anyway."""
+        """Publish it while there is a subscriber, if a status or a counter of resets has changed, or anyway."""
         if not self._status_pub.get_num_connections():
             return
         statuses, counters = self._statuses(), self.estimator.counters()
@@ -175,7 +175,7 @@ class EstimatorNode:
             self._status_pub.publish(statuses_to_msg(self._header, self.estimator.names, statuses, counters))
 
     def _report(self):
-        """Report of now."""
+        """The current Report."""
         with self.lock:
             counts, names, passed_over = self.estimator.counts, self.estimator.names, self._passed_over
             last_s, silent, counters = self._last_receipt_s, self._silent, self.estimator.counters()
@@ -191,7 +191,7 @@ class EstimatorNode:
         return Report(counts, names, visible, passed_over, new, rates_hz["frames"], age_s, dict(zip(names, words)))
 
     def tell(self, report):
-        """For subclasses: programs want to know, too. report: Report."""
+        """For subclasses: publish what programs need of a Report."""
 
     def _diagnose(self, status):
         """Diagnostics for people."""
@@ -236,7 +236,7 @@ def refusals(counts):
 
 
 def _in_words(counters):
-    """What has become of the poses of a body; counters: `filters.COUNTS`, a record."""
+    """Refused poses and resets of a body, as text; counters: `filters.COUNTS`, a record."""
     refused = [
         "%d %s refused" % (counters[key], key.partition("_")[0])
         for key in ("positions_refused", "attitudes_refused")

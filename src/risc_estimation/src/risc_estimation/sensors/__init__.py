@@ -1,4 +1,4 @@
-"""What vehicles measure on board, by type, for filters that want it. Needs no ROS.
+"""On-board measurements of vehicles, by type, for filters that use them. Needs no ROS.
 
 A type is one file here, or sensors/NAME.py in a folder of RISC_MAAP_MEMBERS:
 
@@ -15,11 +15,11 @@ REGISTRY = Registry("sensors", __name__)
 
 
 def of_type(name):
-    """Module of a type of vehicle; None for a type whose readings nothing here knows."""
+    """Module of a type of vehicle; None for a type that has none here."""
     return REGISTRY.module(name) if name in REGISTRY.names() else None
 
 
 def give(estimator, name, kind, message):
-    """Hand a StatesEstimator what one message says of a vehicle. kind: its module."""
+    """Hand a StatesEstimator the readings in one message of a vehicle. kind: module of its type."""
     for what, values in kind.readings(message).items():
         estimator.on_board(name, message.header.stamp.to_sec(), what, values)

@@ -1,4 +1,4 @@
-"""The navdata of an AR.Drone, as ardrone_autonomy publishes them: x forward, y left, z up (the map is self-inverse)."""
+"""Navdata of an AR.Drone, as ardrone_autonomy publishes them: x forward, y left, z up; frd_to_flu is self-inverse."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ TOPIC, TYPE = "ardrone/navdata", "ardrone_autonomy/Navdata"
 
 
 def readings(navdata):
-    """See `risc_estimation.sensors`. The velocity's axes are levelled; an option that is not sent reads 0."""
+    """See `risc_estimation.sensors`. The velocity is in level axes; a navdata option that is not sent reads 0."""
     quantities = {
         "attitude": frd_to_flu(np.radians((navdata.rotX, navdata.rotY, navdata.rotZ))),
         "velocity": frd_to_flu((navdata.vx, navdata.vy, navdata.vz)) / 1e3,

@@ -1,4 +1,4 @@
-"""A filter that the tree does not have: alpha-beta, every coordinate for itself, critically damped."""
+"""A filter from outside the tree: alpha-beta, each coordinate on its own, critically damped."""
 
 from dataclasses import dataclass
 

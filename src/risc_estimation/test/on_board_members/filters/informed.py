@@ -1,4 +1,4 @@
-"""A filter for tests of what is wired to it: velocities as measured on board, rates as commanded, and covariances."""
+"""A filter for tests of its inputs and outputs: velocities as measured on board, rates as commanded, covariances."""
 
 from dataclasses import dataclass
 

@@ -13,7 +13,7 @@ from risc_lab.settings import Count, Settings, Vector, between, settings_from
 
 DISTORTION_MODEL = "plumb_bob"
 _FOLDER = "package://risc_lab/config/cameras/"  # what a bare file name means
-_SHAPES = {  # of K, D, R, P in a file; of the second there may be any number, in a row or a column
+_SHAPES = {  # of K, D, R, P in a file; D may have any number of coefficients, in a row or a column
     "camera_matrix": (3, 3),
     "distortion_coefficients": None,
     "rectification_matrix": (3, 3),
@@ -29,7 +29,7 @@ class CameraCalibration:
     width_px: int
     height_px: int
     K: tuple[float, ...]  # 3 x 3 camera matrix, row by row [px]
-    D: tuple[float, ...]  # distortion coefficients; of plumb_bob k1, k2, p1, p2, k3
+    D: tuple[float, ...]  # distortion coefficients; for plumb_bob k1, k2, p1, p2, k3
     R: tuple[float, ...]  # 3 x 3 rectification rotation
     P: tuple[float, ...]  # 3 x 4 projection of the rectified image [px]
     distortion_model: str = DISTORTION_MODEL
@@ -55,7 +55,7 @@ class CameraCalibration:
         return cls(name, int(info.width), int(info.height), *matrices, info.distortion_model or DISTORTION_MODEL)
 
     def usable(self):
-        """The same with five coefficients, for `risc_lab.camera`. Raises ValueError when that cannot work with it."""
+        """This calibration with five coefficients. Raises ValueError when `risc_lab.camera` cannot use it."""
         where = "camera %s: " % self.name
         if self.distortion_model != DISTORTION_MODEL or len(self.D) > 5:
             found = DISTORTION_MODEL, self.distortion_model, len(self.D)
@@ -125,7 +125,7 @@ class _MountFile(Settings):
 def resolve_url(url):
     """Path of a calibration or mount: file://, package://PACKAGE/, a path, or a name in risc_lab/config/cameras.
 
-    The file need not be there: a driver writes it when its camera is calibrated. ValueError when the package is not.
+    The file need not exist: a driver writes it when its camera is calibrated. ValueError when the package does not.
     """
     if url.startswith("file://"):
         return pathlib.Path(url[len("file://") :])
@@ -139,7 +139,7 @@ def resolve_url(url):
 
 
 def read_calibration(path):
-    """CameraCalibration of a file as ROS' camera drivers take it: of any distortion model, with keys of others.
+    """CameraCalibration of a file, read as ROS' camera drivers do: any distortion model, unknown keys ignored.
 
     Raises ValueError that names the file, the key and what is wrong with it.
     """
@@ -151,7 +151,7 @@ def read_calibration(path):
 
 
 def load_calibration(url):
-    """The calibration of a file, see `resolve_url`, that `risc_lab.camera` can use; None of "". Raises ValueError."""
+    """A calibration that `risc_lab.camera` can use, from a file (`resolve_url`); None for "". Raises ValueError."""
     if not url:
         return None
     path = resolve_url(url)
@@ -163,7 +163,7 @@ def load_calibration(url):
 
 
 def save_calibration(calibration, path):
-    """Write a calibration file, and the folders above it where they are missing. Raises OSError.
+    """Write a calibration file, and missing folders above it. Raises OSError.
 
     The old file stays whole until the new one is complete.
     """
@@ -181,7 +181,7 @@ def save_calibration(calibration, path):
 
 
 def load_mount(url):
-    """CameraMount of a file: position_m, roll_deg, pitch_deg, yaw_deg; the nominal one of a front camera of "".
+    """CameraMount of a file: position_m, roll_deg, pitch_deg, yaw_deg; for "" the nominal one of a front camera.
 
     Raises ValueError that names file and key.
     """
@@ -193,7 +193,7 @@ def load_mount(url):
 
 
 def save_mount(mount, path):
-    """Write a camera mount that load_mount reads; the old file stays whole until then. Raises OSError."""
+    """Write a camera mount that load_mount reads; the old file stays whole until it is complete. Raises OSError."""
     degrees = map(math.degrees, (mount.roll_rad, mount.pitch_rad, mount.yaw_rad))
     content = {
         "position_m": [float(value) for value in mount.position_m],
@@ -205,7 +205,7 @@ def save_mount(mount, path):
 
 
 def _replace(path, text):
-    """Atomically: there is never half a file, not even when the computer is switched off."""
+    """Write a file atomically: it is never half written, even when the computer is switched off."""
     path = pathlib.Path(path).resolve()  # a link stays a link
     temporary = path.with_name("%s.%d" % (path.name, os.getpid()))
     try:

@@ -20,7 +20,7 @@ from risc_lab.settings import Name, NotNegative, Port, Settings, Vector, between
 
 @dataclass(frozen=True)
 class MocapEndpoint(Settings):
-    """Where the motion capture host is, and what it is set to."""
+    """Address and settings of the motion capture host."""
 
     host: str | None  # address of the Cortex host
     command_port: Port = 1510
@@ -71,10 +71,10 @@ class FleetVehicle(Settings):
     start: Start
     calibration: str = ""  # of the front camera, see lab.calibration.resolve_url; "" = none
     camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
-    overrides: dict[str, NotNegative] = field(default_factory=dict)  # what it has otherwise than its type: OVERRIDABLE
-    controllers: dict[str, dict[str, float]] = field(default_factory=dict)  # numbers of its own, by controller
+    overrides: dict[str, NotNegative] = field(default_factory=dict)  # values in place of those of its type: OVERRIDABLE
+    controllers: dict[str, dict[str, float]] = field(default_factory=dict)  # settings of its own, by controller
     attached: AttachedBody | None = None
-    devices: dict[str, Name] = field(default_factory=dict)  # where links are that are not at its address: see `links`
+    devices: dict[str, Name] = field(default_factory=dict)  # of links that are not at its address, see `links`
 
     def __post_init__(self):
         super().__post_init__()
@@ -116,22 +116,22 @@ class FleetVehicle(Settings):
 
     @property
     def place(self):
-        """Where it is reached, for people."""
+        """Its address or devices, for people."""
         return self.address or ", ".join(self.devices.values())
 
     def with_overrides(self, **overrides):
-        """The same vehicle with other numbers of its type; None = as they are."""
+        """The same vehicle with values in place of those of its type; None = unchanged."""
         given = {field: value for field, value in overrides.items() if value is not None}
         return replace(self, overrides={**self.overrides, **given})
 
 
 def unplaced_vehicle(namespace, template, kind=DEFAULT_TYPE):
-    """FleetVehicle of which no fleet file says where it is."""
+    """FleetVehicle without a place, for a vehicle that no fleet file lists."""
     return FleetVehicle(namespace, template, kind, "0.0.0.0", Start((0.0, 0.0, 0.0)))
 
 
 def laboratory_vehicles(kind=""):
-    """Those of a type, "" = DEFAULT_TYPE, in the original laboratory, for when no fleet is loaded."""
+    """Vehicles of a type ("" = DEFAULT_TYPE) in the original laboratory, for when no fleet is loaded."""
     kind = kind or DEFAULT_TYPE
     return tuple(unplaced_vehicle(*names, kind) for names in load_vehicle_type(kind).laboratory.items())
 
@@ -143,7 +143,7 @@ def wider_m(vehicles):
 
 
 def widest_pair_m(vehicles):
-    """The same of the two widest of them together."""
+    """Sum of `wider_m` of the two widest of the vehicles [m]."""
     return sum(sorted(wider_m(vehicles).values())[-2:])
 
 
@@ -201,13 +201,13 @@ class Fleet(Settings):
         return replace(self, vehicles=self.vehicles[:count])
 
     def with_overrides(self, **overrides):
-        """The same fleet, all its vehicles with other numbers of their types, e.g. command_delay_s=0.3; None = none."""
+        """The same fleet with values in place of those of all types, e.g. command_delay_s=0.3; None = unchanged."""
         return replace(self, vehicles=tuple(vehicle.with_overrides(**overrides) for vehicle in self.vehicles))
 
     def in_subnet(self, subnet):
         """The same fleet with the host at <subnet>.0.1 and vehicle k at <subnet>.1.k, e.g. subnet '127.77'.
 
-        Several virtual labs fit on one computer this way. Devices are a real laboratory's: they are removed.
+        Several virtual labs fit on one computer this way. Devices belong to a real laboratory: they are removed.
         Raises ValueError for anything but two address bytes.
         """
         if not re.fullmatch(r"\d{1,3}\.\d{1,3}", subnet):
@@ -218,7 +218,7 @@ class Fleet(Settings):
         return replace(self, mocap=replace(self.mocap, host=subnet + ".0.1"), vehicles=tuple(vehicles))
 
     def to_dict(self):
-        """The fleet as the plain dict that its YAML file would hold; without what is empty, as ROS knows no null."""
+        """The fleet as the plain dict that its YAML file would hold; without empty entries, as ROS has no null."""
         content = msgspec.to_builtins(self)
         for vehicle in content["vehicles"]:
             if vehicle["attached"] is None:
@@ -239,7 +239,7 @@ def fleet_from_dict(content, where="fleet"):
 
 
 def _check_address(settings, key, whose=None):
-    """Raises ValueError. whose: the files for a real laboratory leave this address for the user to fill in."""
+    """Raises ValueError. whose: owner of an address that files for a real laboratory leave for the user to fill in."""
     value = getattr(settings, key)
     if whose and not value:
         raise ValueError("'%s' is not written yet: write the address of %s there" % (key, whose))

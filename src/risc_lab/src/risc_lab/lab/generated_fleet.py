@@ -10,9 +10,9 @@ from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import VEHICLE, Kind, TemplateSet
 from risc_lab.lab.vehicle_types import DEFAULT_TYPE
 
-MOST_VEHICLES = 250  # addresses end in a byte
+MOST_VEHICLES = 250  # the last byte of an address numbers them
 SPACING_M = 1.0  # between two starts: aircraft are 0.55 m wide
-ROOM_M = 1.5  # from the outermost start to the net: a circle of 0.35 m, the fence, and where it looks ahead
+ROOM_M = 1.5  # from the outermost start to the net: a circle of 0.35 m, the fence and its look-ahead
 
 _NAMES = ("fluffy_II", "albatross", "Raven", "Condor", "Kahn")  # of the laboratory; the others are ardrone6 and so on
 _WITH_CAMERA = 3  # how many of them have a calibration
@@ -25,8 +25,8 @@ _MARKERS = 5
 _REACH_M = (0.12, 0.22)  # of a marker from the middle of the hull, in plan,
 _HEIGHTS_M = (-0.10, 0.02)  # and down from it
 _LEAST_M = 0.08  # between two markers of a hull
-_LEAST_SPREAD_M = 0.05  # root of the sum of squares across the plane that fits them best
-_LEAST_DIFFERENCE_M = 0.03  # of two hulls: between their sorted distances, the largest
+_LEAST_SPREAD_M = 0.05  # root of the sum of squared distances from the plane that fits them best
+_LEAST_DIFFERENCE_M = 0.03  # of two hulls: largest difference between their sorted marker distances
 
 
 def rows(count, spacing_m=SPACING_M):
@@ -39,7 +39,7 @@ def rows(count, spacing_m=SPACING_M):
 def generated_fleet(vehicles, room_m=ROOM_M):
     """A Fleet of this many AR.Drones in the virtual lab, in rows, in a net that is large enough. Raises ValueError.
 
-    room_m: from the outermost start to the net, at least; the laboratory's net is the smallest.
+    room_m: least distance from the outermost start to the net, which is at least as large as the laboratory's.
     """
     if not 1 <= vehicles <= MOST_VEHICLES:
         raise ValueError("a generated fleet has 1 to %d vehicles, %r were requested" % (MOST_VEHICLES, vehicles))

@@ -1,4 +1,4 @@
-"""The landmarks: what they are called where, how they are painted, and how large they are. Needs no ROS."""
+"""The landmarks: their names on each topic, their paints and their sizes. Needs no ROS."""
 
 from dataclasses import dataclass, field
 
@@ -12,7 +12,7 @@ class Disc:
 
     name: str
     centre_m: tuple[float, float, float]
-    normal: tuple[float, float, float] | None = None  # unit vector out of the painted side; None: always faces us
+    normal: tuple[float, float, float] | None = None  # unit vector out of the painted side; None: faces every camera
     diameter_m: float = 0.20  # of the disc in the middle
     ring_diameter_m: float = 0.30  # outer, of the ring
 

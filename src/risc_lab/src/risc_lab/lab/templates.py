@@ -36,7 +36,7 @@ class Kind(Settings):
 class TemplateSet(Settings):
     """Content of templates.yaml, or of the section `templates` of a fleet file."""
 
-    geometries: dict[str, dict[str, Vector]] = field(default_factory=dict)  # of each the markers [m], in their order
+    geometries: dict[str, dict[str, Vector]] = field(default_factory=dict)  # {name: {marker: place [m]}}, in order
     templates: dict[str, Kind] = field(default_factory=dict)
 
     def __post_init__(self):

@@ -1,7 +1,7 @@
 """Vehicle types: the one source of each physical parameter of an airframe (nominal values).
 
-Controllers, the vehicle node, the driver's launch file and the virtual lab read them here. A fleet file may say what a
-vehicle has otherwise than its type (`OVERRIDABLE`).
+Controllers, the vehicle node, the driver's launch file and the virtual lab read them here. A fleet file may override
+some of them for a vehicle (`OVERRIDABLE`).
 """
 
 import functools
@@ -14,7 +14,7 @@ from risc_lab.lab.yaml_reader import config_files, load_yaml
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 
 DEFAULT_TYPE = "ardrone"  # that of the original: used where no type is named; distances are set for it
-# What a single vehicle may have otherwise than its type.
+# Parameters of a type that a fleet file may override for a single vehicle.
 OVERRIDABLE = (
     "mass_kg",
     "tilt_max_rad",
@@ -25,7 +25,7 @@ OVERRIDABLE = (
     "command_rate_hz",
     "battery_life_s",
 )
-FULL_SCALES = ("tilt_max_rad", "yaw_rate_max_rad_s", "climb_max_m_s")  # which all that command a vehicle must agree on
+FULL_SCALES = ("tilt_max_rad", "yaw_rate_max_rad_s", "climb_max_m_s")  # all that command a vehicle must agree on these
 # Parameters of the original release -> (field, factor to its unit).
 LEGACY_PARAMETERS = {
     "euler_angle_max": ("tilt_max_rad", 1.0),
@@ -61,7 +61,7 @@ class VehicleType(Settings):
     name: Name
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]  # Jx, Jy, Jz; body axes
-    radius_m: Positive  # how far hull and propellers reach from its centre: two touch at the sum of theirs
+    radius_m: Positive  # how far hull and propellers reach from its centre: two vehicles touch at the sum of theirs
     roll: AttitudeLoop
     pitch: AttitudeLoop
     yaw_rate_time_constant_s: Positive  # r' = (command - r) / tau
@@ -73,7 +73,7 @@ class VehicleType(Settings):
     command_rate_hz: between(1.0, 1000.0)  # how often the vehicle takes a command
     drag_n_s_m: NotNegative  # linear drag: force = -drag * airspeed
     battery_life_s: Positive  # full to empty in flight
-    # what courses may ask for: that part of the full scales (the rest is the controller's), and this speed
+    # limits of courses: this part of the full scales (the rest is for the controller), and this speed
     course_share: between(0.1, 1.0) = 0.8
     speed_max_m_s: Positive = 3.0
     report_delay_s: between(0.0, 2.0) = 0.0  # from its measurement to the subscribers of its driver
@@ -81,10 +81,10 @@ class VehicleType(Settings):
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
     devices: dict[str, Name] = field(default_factory=dict, hash=False)
     takes_thrust: bool = False  # its vertical command is a thrust (we control its height); else a climb rate
-    own: dict[str, typing.Any] = field(default_factory=dict, hash=False)  # that no other type has, see `own_numbers`
+    own: dict[str, typing.Any] = field(default_factory=dict, hash=False)  # of this type alone, see `own_numbers`
     airframe: Airframe | None = None  # what it is drawn as; None: as an AR.Drone
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
-    # {controller: {key: value}} of its YAML file that the type has otherwise
+    # {controller: {key: value}} in place of values of the controller's YAML file
     controllers: dict[str, dict[str, float]] = field(default_factory=dict, hash=False)
     # {namespace: template} of those in the original laboratory, which are known without a fleet file
     laboratory: dict[str, Name] = field(default_factory=dict, hash=False)
@@ -103,7 +103,7 @@ def _default_radius_m():
 def load_vehicle_type(name, overrides=()):
     """Vehicle type by name (see `risc_lab.registry`; the tree's are in risc_lab/config/vehicle_types), or by path.
 
-    overrides: what the vehicle has otherwise, {field: value} or pairs.  Raises ValueError that names the file and the
+    overrides: values in place of the type's, {field: value} or pairs.  Raises ValueError that names the file and the
     key, or the known types when there is no such type.
     """
     path = vehicle_type_file(name)
@@ -127,9 +127,9 @@ def vehicle_type_file(name):
 
 
 def disagreement(name, mine, theirs, whose):
-    """What is wrong between two sets of full scales of a vehicle, in a sentence; "" when nothing is.
+    """Sentence on a difference between two sets of full scales of a vehicle; "" when there is none.
 
-    mine, theirs: {field: value}, compared where both have one.  whose: what the second set is of.
+    mine, theirs: {field: value}, compared where both have one.  whose: holder of the second set.
     """
     for scale in FULL_SCALES:
         if scale in mine and scale in theirs and abs(theirs[scale] / mine[scale] - 1.0) > 0.01:
@@ -142,7 +142,7 @@ def disagreement(name, mine, theirs, whose):
 
 
 def legacy_overrides(values):
-    """{field: value} of the parameters of the original release in a dict; a negative one is not set.
+    """{field: value} from the parameters of the original release in a dict; a negative one counts as not set.
 
     Raises ValueError for what is not a number.
     """

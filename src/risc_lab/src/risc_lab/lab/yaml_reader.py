@@ -31,9 +31,9 @@ def package_file(package, relative_path):
 
 
 def config_files(kind, package):
-    """{name: path} of the YAML files of a kind: config/KIND of a ROS package, then the members from elsewhere.
+    """{name: path} of the YAML files of a kind: config/KIND of a ROS package, then those in RISC_MAAP_MEMBERS.
 
-    Raises ValueError for a name that is there twice.
+    Raises ValueError for a duplicate name.
     """
     folders = [package_file(package, "config/" + kind)] + [folder / kind for folder in member_folders()]
     paths = [path for folder in folders for path in sorted(folder.glob("*.yaml"))]
@@ -42,7 +42,7 @@ def config_files(kind, package):
 
 
 def check_once(kind, names):
-    """Raises ValueError when one of the names of files of a kind is there twice."""
+    """Raises ValueError when two files of a kind have the same name."""
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError("%s: %s is there twice: rename the one in %s" % (kind, ", ".join(twice), MEMBERS_VARIABLE))
@@ -58,7 +58,7 @@ def member_folders():
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # the one in C takes a tenth of the time
-    """Takes 1e-05 for a number, as programs in C++ write it; YAML 1.1 wants a point in it and makes it a text."""
+    """Reads 1e-05, as C++ programs write it, as a number; YAML 1.1 requires a decimal point and reads a string."""
 
 
 _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+\Z")
@@ -66,7 +66,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+0123
 
 
 def key_comments(path):
-    """{key: comment that ends its line} of the outermost keys of a YAML file."""
+    """{key: comment at the end of its line} of the top-level keys of a YAML file."""
     return dict(re.findall(r"(?m)^(\w+):[^#\n]*# *(.+)$", pathlib.Path(path).read_text(encoding="utf-8")))
 
 

@@ -4,19 +4,19 @@ import time
 
 import rospy
 
-_SLOW_READING_S = 2e-4  # the thread was held up between two readings: they say nothing of the difference
-_SET_S = 1e-3  # the clock was set; adjustments of its rate act on the monotonic clock alike
+_SLOW_READING_S = 2e-4  # the thread was held up between two readings: the difference is not reliable
+_SET_S = 1e-3  # a larger change: the clock was set; adjustments of its rate act on the monotonic clock, too
 
 
 def ros_time_s():
-    """The same as rospy.get_time(), without the two objects that it makes of a clock's reading, in every frame."""
+    """As rospy.get_time(), which is slower: it makes two objects of each reading, and this is called in every frame."""
     return time.time() if rospy.rostime.is_wallclock() else rospy.get_time()
 
 
 class SteadyClock:
-    """A time that goes on evenly when the computer's clock is set, beside the ROS time of the same instant.
+    """A time that goes on evenly when the computer's clock is set, and the ROS time of the same instant.
 
-    With /use_sim_time both are ROS time: who plays a bag wants to go back with it.
+    With /use_sim_time both are ROS time: they go back with a bag that is played again.
     """
 
     def __init__(self):

@@ -1,4 +1,4 @@
-"""What a node tells of itself on /diagnostics."""
+"""What a node reports on /diagnostics."""
 
 import time
 
@@ -13,10 +13,10 @@ _SILENCE_S = 3.0  # without news after which an input is silent
 
 
 def make_updater(hardware_id="none"):
-    """A diagnostic_updater.Updater for this node that leaves the master alone.
+    """A diagnostic_updater.Updater for this node that does not query the master.
 
-    An Updater asks for its period again and again as long as it is not set, and asking is to the master as good
-    as registering: a node that is just being replaced by one of the same name would throw that one out again.
+    An Updater asks for its period again and again while the parameter is not set, and to the master a query counts as
+    a registration: a node that is just being replaced by one of the same name would displace that one again.
     """
     if not rospy.has_param(_PERIOD):
         rospy.set_param(_PERIOD, _PERIOD_S)
@@ -26,7 +26,7 @@ def make_updater(hardware_id="none"):
 
 
 def ticking_updater(hardware_id="none"):
-    """One that reports once a second by itself."""
+    """An updater that reports once a second by itself."""
     updater = make_updater(hardware_id)
     Ticker(1.0, updater.force_update, "the diagnostics")
     return updater
@@ -48,21 +48,21 @@ class Growth:
 
 
 def summarise(status, *cases):
-    """The first of (condition, level, message) whose condition holds is the summary of a status."""
+    """Set the summary of a status: the first (condition, level, message) whose condition holds."""
     status.summary(*next(case[1:] for case in cases if case[0]))
 
 
 def add_all(status, values):
-    """{key: value} into a status."""
+    """Add {key: value} to a status."""
     for key, value in values.items():
         status.add(key, str(value))
 
 
 def is_silent(last_s):
-    """Whether an input is. last_s: when it was heard last, monotonic clock; None: never."""
+    """Whether an input is silent. last_s: when it was last heard, monotonic clock; None: never."""
     return last_s is None or time.monotonic() - last_s > _SILENCE_S
 
 
 def age_text(last_s):
-    """How long ago something came last [s], for a status. last_s: time of the monotonic clock, None: never."""
+    """Time since something last came [s], for a status. last_s: when, monotonic clock; None: never."""
     return "none yet" if last_s is None else "%.2f" % (time.monotonic() - last_s)

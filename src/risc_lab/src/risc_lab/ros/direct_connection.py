@@ -1,7 +1,7 @@
 """Sending messages from the thread that publishes them.
 
 rospy wakes a thread for each subscriber of each message. At 200 Hz with six subscribers that is most of what a node
-does, and it delays every hop by a change of threads. A `DirectConnection` sends at once when the subscriber's socket
+does, and it delays every hop by a thread switch. A `DirectConnection` sends at once when the subscriber's socket
 takes the whole message, and leaves it to rospy's thread otherwise: a subscriber that is slow, frozen or out of reach
 delays no other, and loses the oldest messages beyond the publisher's queue_size, as always.
 """
@@ -16,12 +16,12 @@ class DirectConnection(rospy.topics.QueuedConnection):
     """A QueuedConnection that needs its thread only for what the socket does not take at once."""
 
     def __init__(self, connection, queue_size):
-        self._rest = b""  # of a message that has been sent in part: goes first, is never dropped
+        self._rest = b""  # of a partly sent message: goes first, is never dropped
         self._relaying = False  # the thread is sending: nothing may overtake it
         super().__init__(connection, queue_size)
 
     def write_data(self, data):
-        """Send or queue one serialised message. Raises what the thread has met since the last call."""
+        """Send or queue one serialised message. Raises an error that the thread has had since the last call."""
         with self._lock:
             if self._error is not None:
                 error, self._error = self._error, None
@@ -41,7 +41,7 @@ class DirectConnection(rospy.topics.QueuedConnection):
         return True
 
     def _send_at_once(self, data):
-        """Bytes that the socket took without waiting; errors are left to the thread, which knows them all."""
+        """Bytes that the socket took without waiting; errors are left to the thread, which handles them all."""
         connection = self._connection
         if connection.done or connection.socket is None:
             return 0

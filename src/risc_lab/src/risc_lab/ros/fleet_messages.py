@@ -31,7 +31,7 @@ from risc_msgs.msg import Controls, Cortex, Landmarks, Mocap_data, Trajectories
 
 _HEADER = struct.Struct("<4I")  # seq, secs, nsecs, length of frame_id
 _LENGTH = struct.Struct("<I")
-_MOST_LAYOUTS = 256  # remembered; more sets of names than that are not of one flight
+_MOST_LAYOUTS = 256  # cached; one flight never has more sets of names
 
 
 class Layout(NamedTuple):
@@ -83,7 +83,7 @@ class _Raw(genpy.Message):
 
 
 class FleetMessage(genpy.Message):
-    """What the kinds have in common. Numbers are views of `data`, an array of bytes: write into them, or read."""
+    """Base class of the messages. Numbers are views of `data`, an array of bytes: write into them, or read."""
 
     __slots__ = ("header", "layout", "data", "_body", "_numbers", "_rest")
     _has_header = True
@@ -105,7 +105,7 @@ class FleetMessage(genpy.Message):
         cls(()).deserialize(wire.getvalue())
 
     def __init__(self, entries=None):
-        """entries: their names (of Mocap_data (name, number of markers) pairs); None for one to deserialise."""
+        """entries: their names (for Mocap_data: (name, number of markers) pairs); None: to be deserialised."""
         self.header = Header()
         self.layout = None
         if entries is not None:
@@ -142,7 +142,7 @@ class FleetMessage(genpy.Message):
             if layout is None or not _unpack(buff, begin, layout.template, layout.spans, self.data):
                 layout = self._layout_of(self._key_of(memoryview(buff)[begin:]))
                 self._adopt(layout)
-                # genpy passes over what comes after the last entry
+                # genpy ignores what comes after the last entry
                 _unpack(buff[: begin + layout.template.size], begin, layout.template, layout.spans, self.data)
                 type(self)._newest = layout
         except struct.error as error:

@@ -1,4 +1,4 @@
-"""Callbacks and periodic work that outlive their exceptions.
+"""Callbacks and periodic work that go on after an exception.
 
 rospy logs a traceback for every message that a callback fails on, 200 a second; the thread of a bare rospy.Timer ends
 with the first exception.
@@ -14,19 +14,19 @@ import rospy
 
 from risc_lab.ros.until_shutdown import is_closing
 
-_AGAIN_S = 10.0  # after so long it is told how often the same thing has failed meanwhile
+_AGAIN_S = 10.0  # interval at which repeated failures are logged, with their number
 
 
 class Failures:
-    """Logs what fails again and again: the first time with its traceback, then how often."""
+    """Logs repeated failures: the first with its traceback, then how often."""
 
     def __init__(self, name):
         """name: what fails, in words."""
         self._name, self._count, self._trace, self._logged_s = name, 0, "", -math.inf
 
     def note(self, error):
-        """Count an exception that is being handled. Returns whether that is to be acted on: not while the node shuts
-        down, when its topics are closed, nor for a message that could not be decoded, which counts as not received.
+        """Count an exception that is being handled. Returns whether to act on it: not while the node shuts down, when
+        its topics are closed, nor for a message that could not be decoded, which counts as not received.
         """
         if is_closing():
             return False
@@ -50,9 +50,9 @@ class Failures:
 
 
 def guarded(work, name, on_error=None):
-    """`work` as a function that outlives its exceptions: they are logged as `Failures`, and it returns None.
+    """Wrap `work`: its exceptions are logged by `Failures`, and the call returns None.
 
-    name: of the work, in words.  on_error: takes an exception that is to be acted on.
+    name: of the work, in words.  on_error: called with an exception that is to be acted on.
     """
     failures = Failures(name)
 
@@ -72,7 +72,7 @@ def guarded(work, name, on_error=None):
 
 
 def subscribe(topic, message_class, callback, callback_args=None, on_error=None, **options):
-    """A rospy.Subscriber whose callback is guarded, and whose messages no publisher holds back (TCP_NODELAY).
+    """A rospy.Subscriber whose callback is guarded, and whose messages no publisher delays (TCP_NODELAY).
 
     on_error: see `guarded`.  options: those of rospy.Subscriber.
     """

@@ -27,8 +27,8 @@ _ATTEMPTS = 50  # to find one that is free
 class PortReservation:
     """A part of the loopback network that belongs to one flight: 127.<n>.*.*, told apart by <n>.
 
-    The reservation is a listening socket, so it ends with the process, and the roslaunch that it is handed on to
-    (`Launch`), also when it is killed.
+    The reservation is a listening socket, so it ends with this process and the roslaunch that it is passed on to
+    (`Launch`), also when these are killed.
     """
 
     PORT = 1510
@@ -54,14 +54,14 @@ class PortReservation:
         return self._guard.fileno()
 
     def close(self):
-        """Give the subnet back."""
+        """Release the subnet."""
         self._guard.close()
 
 
 def free_tcp_port(*preferred):
     """A TCP port on 127.0.0.1 on which no program listens: the preferred one, unless it is taken.
 
-    It is not one of those that Linux hands out to programs that ask for any port, so it stays free until it is used.
+    It is outside the range from which Linux assigns ports to programs, so it stays free until it is used.
     """
     for port in (*preferred, *random.sample(_PORTS, _ATTEMPTS)):
         with socket.socket() as probe, contextlib.suppress(OSError):
@@ -79,7 +79,7 @@ class Launch:
     """
 
     def __init__(self, launch_file, arguments, folder, master_port, reservation=None):
-        """Start it. arguments: {name: value}; folder: for its log and ROS home; reservation: that it keeps, too."""
+        """Start it. arguments: {name: value}; folder: for its log and ROS home; reservation: kept open by it, too."""
         self.identity = uuid.uuid4().hex
         self.log_path = pathlib.Path(folder) / "roslaunch.log"
         environment = {
@@ -114,7 +114,7 @@ class Launch:
         return self._process.poll() is None
 
     def stop(self, patience_s=30.0):
-        """End all nodes and the master, first kindly. Returns the command names of processes that had to be killed."""
+        """End all nodes and the master, first by SIGINT. Returns the commands of processes that had to be killed."""
         started = [process for process in (self._process, self._core) if process is not None]
         for process in started:
             process.send_signal(signal.SIGINT)  # nothing happens to one that has ended
@@ -176,8 +176,8 @@ def _listens(port):
 
 
 def _is_up(port):
-    """Whether a roscore listens and has named its run: a roslaunch that comes sooner gives it a name of
-    its own, and ends because of that.
+    """Whether a roscore listens and has set its /run_id: a roslaunch that comes sooner sets one of its own, and
+    ends because of that.
     """
     master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)
     try:
@@ -203,7 +203,7 @@ def send_signal(pid, number):
 
 
 def program_of(words):
-    """What a person calls a command line: of ["/usr/bin/python3", "-u", "/x/roslaunch", "a.launch"] roslaunch."""
+    """Usual name of a command line: roslaunch for ["/usr/bin/python3", "-u", "/x/roslaunch", "a.launch"]."""
     words = list(words)
     if words and re.match("python|bash|sh$|nice$|env$", os.path.basename(words[0])):
         if "-m" in words[:-1]:

@@ -1,4 +1,4 @@
-"""Settings of a Python node on the way from the frame to the command: start it with `start`, let it run by `spin`."""
+"""Settings of a Python node between motion capture frame and command: start it with `start`, run it with `spin`."""
 
 import contextlib
 import ctypes
@@ -12,7 +12,7 @@ from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.publisher_updates import init_node
 
 _SWITCH_INTERVAL_S = 0.0005  # the default of 5 ms is how long a timer's thread could hold up a frame
-_OMIT_TOPICS = "/rosout_disable_topics_generation"  # of every log message
+_OMIT_TOPICS = "/rosout_disable_topics_generation"  # rospy reads it for every log message
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
 _KEPT_BYTES = 2**25  # the most that glibc takes; more than any receive buffer
 
@@ -28,7 +28,7 @@ def start(name, **options):
 
 
 def _keep_memory():
-    """Let the memory of a receive buffer be used again.
+    """Let glibc reuse the memory of receive buffers.
 
     rospy asks for a whole buffer (1 MB where frames may wait) for every message that it reads. glibc would get it from
     the kernel each time and give it back, which takes three system calls and a page fault.

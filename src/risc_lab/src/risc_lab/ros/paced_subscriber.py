@@ -1,4 +1,4 @@
-"""Subscriptions to topics that are much faster than what is done with them."""
+"""Subscriptions to topics that are much faster than their messages are needed."""
 
 import threading
 import time
@@ -11,7 +11,7 @@ from risc_lab.ros.until_shutdown import is_closing
 
 BUFFER_BYTES = 2**20  # holds what arrives while a callback waits
 PICTURES_BYTES = 2**24  # the same for pictures: what waits is read at one go, and all but the newest is thrown away
-_open = weakref.WeakSet()  # what those that exist wait on, to be ended with the process
+_open = weakref.WeakSet()  # events that the existing subscribers wait on, to be set at the end of the process
 _open_lock = threading.RLock()  # a signal may end the process while its main thread is in here
 _hooked = False  # rospy never forgets a hook, so there is one for all
 
@@ -41,12 +41,12 @@ class PacedSubscriber:
     meanwhile is taken out of the socket at one go, and rospy deserialises the last message only (queue_size 1): a fifth
     of the work of a plain subscription. The publisher does not notice: what waits is in a socket of our own.
 
-    Each topic has a thread of its own; callbacks that share something lock it themselves. A callback that returns a
-    time of the monotonic clock is called next with the newest message of then instead. It is guarded.
+    Each topic has a thread of its own; callbacks that share data lock it themselves. If a callback returns a time of
+    the monotonic clock, it is next called at that time, with the newest message. It is guarded.
     """
 
     def __init__(self, topic, message_class, callback, rate_hz, args=(), on_error=None):
-        """rate_hz: at most so often.  args: of the callback, after the message.  on_error: see `guard.guarded`."""
+        """rate_hz: highest rate of calls.  args: of the callback, after the message.  on_error: see `guard.guarded`."""
         self._callback = guarded(callback, "the callback of " + topic, on_error)
         self._args = args
         self._period_s = 1.0 / rate_hz
@@ -57,7 +57,7 @@ class PacedSubscriber:
         )
 
     def unregister(self):
-        """Listen no more; the topic costs nothing from then on."""
+        """Unsubscribe; the topic costs nothing from then on."""
         self._over.set()
         self._subscriber.unregister()
 

@@ -9,14 +9,14 @@ from risc_lab.lab.fleet import fleet_from_dict, laboratory_vehicles
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS, legacy_overrides, load_vehicle_type
 from risc_lab.settings import settings_from
 
-_ELSEWHERE = frozenset(("diagnostic_period", "full_scales"))  # for diagnostic_updater, and from controllers to others
+_ELSEWHERE = frozenset(("diagnostic_period", "full_scales"))  # of diagnostic_updater; of controllers, for other nodes
 VEHICLE_KEYS = ("vehicle", "vehicles")  # what `vehicles` reads
 
 
 def load_params(*kinds, known=(), lenient=False):
     """Private parameters of this node as instances of dataclasses. Unknown ones are logged as warnings.
 
-    kinds, lenient: see `params_from_dict`.  known: names of others, which are read elsewhere; None: others tell them.
+    kinds, lenient: see `params_from_dict`.  known: names of others, which are read elsewhere; None: no warnings.
     """
     instances, unknown = params_from_dict(kinds, rospy.get_param("~", {}), lenient)
     for name in () if known is None else sorted(set(unknown).difference(known)):
@@ -32,9 +32,9 @@ def load_params(*kinds, known=(), lenient=False):
 def params_from_dict(kinds, values, lenient=False):
     """Fill dataclasses from one flat dict: returns (list of instances, sorted names of unknown keys).
 
-    kinds: dataclasses, or instances of some whose values are the defaults.  lenient: as launch files of old have it,
-    texts that hold a number or a truth value, and 0 and 1 for false and true.  Raises ValueError naming the key, see
-    `risc_lab.settings`.
+    kinds: dataclasses, or instances of some whose values are the defaults.  lenient: accept, as old launch files
+    have them, strings that hold a number or a truth value, and 0 and 1 for false and true.  Raises ValueError naming
+    the key, see `risc_lab.settings`.
     """
     instances, known = [], _ELSEWHERE
     for kind in kinds:
@@ -50,7 +50,7 @@ def params_from_dict(kinds, values, lenient=False):
 def tf_frame(name):
     """Name of a tf frame with the parameter tf_prefix before it, as tf 1 did: found upwards from the node's namespace.
 
-    A name that begins with a slash has none. No slash comes out at the beginning.
+    A name that begins with a slash gets no prefix. The result has no slash at the beginning.
     """
     key = None if name.startswith("/") else rospy.search_param("tf_prefix")
     prefix = str(rospy.get_param(key)) if key else ""
@@ -76,8 +76,8 @@ def known_arena():
 
 
 def told_vehicle_type(vehicle, private):
-    """VehicleType of a FleetVehicle as this node is told: of its type, then fleet file, then the original release's
-    parameters (`LEGACY_PARAMETERS`), the full scales also as global ones, then private ones.
+    """VehicleType of a FleetVehicle for this node: its type, overridden by the fleet file, then by the original
+    release's parameters (`LEGACY_PARAMETERS`): global ones (full scales only), then private ones.
 
     private: the private parameters.  Raises ValueError.
     """
@@ -93,8 +93,8 @@ def told_vehicle_type(vehicle, private):
 def vehicles(only_one=False, kind=""):
     """FleetVehicles that a node is for: ~vehicles (templates or namespaces), else the whole /fleet.
 
-    Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.  kind: of that type
-    or with its driver, the others are not meant; "" = of any.  Raises ValueError when there is none.
+    Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.  kind: only those of
+    this type or with its driver; "" = of any.  Raises ValueError when there is none.
     """
     known = fleet_vehicles() or laboratory_vehicles(kind)
     if kind:

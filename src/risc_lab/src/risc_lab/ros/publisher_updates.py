@@ -11,7 +11,7 @@ from rospy.impl.registration import RegManager
 
 
 def publisher_update(self, resolved_name, uris):
-    """What `RegManager` does, and with what still waits. uris: of publishers of a topic."""
+    """As `RegManager` does it, but keeps the updates that still wait. uris: of the publishers of a topic."""
     with self.cond:
         waiting = [uri for name, uris_before in self.updates if name == resolved_name for uri in uris_before]
         self.updates.append((resolved_name, list(dict.fromkeys([*uris, *waiting]))))

@@ -18,9 +18,9 @@ _numbers = itertools.count(1)
 
 
 def publishers_heard(subscriber):
-    """Names of the nodes of which every message reaches this rospy.Subscriber from now on, in a set; rospy's
-    get_num_connections counts those that it has only decided to call. They are asked, too: a publisher of rospy sends
-    its header first, and what it publishes only once it has made a note of us.
+    """Set of the names of the nodes whose every message reaches this rospy.Subscriber from now on; rospy's
+    get_num_connections also counts those that it has only decided to call. The nodes are asked, too: a publisher of
+    rospy sends its header first, and messages only once it has registered the connection.
     """
     callers = {connection.callerid_pub for connection in subscriber.impl.connections} - {_UNKNOWN}
     return {caller for caller in callers if _sends_to_us(caller, subscriber.resolved_name)}
@@ -56,13 +56,13 @@ class NodeProcess:
     """A node, and our publishers and subscribers on its topics."""
 
     def __init__(self, group=""):
-        """group: what its namespace, which no other one has, ends with."""
+        """group: the end of its namespace, which is unique."""
         self.namespace = "/node%d%s" % (next(_numbers), group)
         self.received = {}  # {topic: messages}
         self._publishers, self._subscribers = {}, {}
 
     def start(self, package, program, *arguments, environment=None, output=None):
-        """environment: variables beside our own.  output: as of Popen, of both streams."""
+        """environment: variables in addition to our own.  output: as of Popen, for both streams."""
         self.process = subprocess.Popen(
             [roslib.packages.find_node(package, program)[0], *arguments],
             env=dict(os.environ, ROS_NAMESPACE=self.namespace, **(environment or {})),
@@ -84,17 +84,17 @@ class NodeProcess:
         return messages
 
     def listen(self, topic, kind):
-        """The same of a topic that it publishes already: none is missed."""
+        """As `subscribe`, for a topic that the node publishes already: waits, so that no message is missed."""
         messages = self.subscribe(topic, kind)
         wait_for(lambda: publishers_heard(self._subscribers[topic]), "the node publishes " + topic)
         return messages
 
     def unsubscribe(self, topic):
-        """The list of the topic grows no more."""
+        """Stop collecting the messages of a topic."""
         self._subscribers.pop(topic).unregister()
 
     def publisher(self, topic, kind):
-        """To the node, which listens already."""
+        """Publisher to the node, once the node subscribes."""
         if topic not in self._publishers:
             publisher = rospy.Publisher(self.name_of(topic), kind, queue_size=100, tcp_nodelay=True)
             wait_for(publisher.get_num_connections, "the node subscribes to " + topic)
@@ -112,7 +112,7 @@ class NodeProcess:
         return self.process.poll() is None
 
     def end(self, how=signal.SIGINT):
-        """Ctrl-C; the exit code. Our publishers and subscribers end as well."""
+        """Send Ctrl-C; returns the exit code. Our publishers and subscribers end as well."""
         for topic in list(self._subscribers):
             self.unsubscribe(topic)
         if self.alive():

@@ -9,7 +9,7 @@ from risc_lab.ros.guard import guarded
 
 
 def on_ros_time(period_s, work, name):
-    """Call `work` every period_s of ROS time: nothing is drawn anew while the clock of a bag stands still."""
+    """Call `work` every period_s of ROS time: not while the clock of a bag stands still."""
     call = guarded(work, name)
     timer = rospy.Timer(rospy.Duration(period_s), lambda _event: call(), reset=True)
     rospy.on_shutdown(timer.shutdown)

@@ -14,7 +14,7 @@ def is_closing():
 
 
 def until_shutdown(callback):
-    """The callback, without the error it meets when rospy has closed its topics under it.
+    """Wrap a callback: ignore the error that it gets when rospy has closed its topics at shutdown.
 
     rospy closes publishers before it ends the threads that publish: a message on its way at that moment raises, and
     the node would end with a useless traceback.
