@@ -15,7 +15,7 @@ from risc_simulator.virtual_lab import report
 
 
 def handle_signals(handler):
-    """Call handler when the process is asked to end."""
+    """Install handler for the signals that end the process."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
 
@@ -27,7 +27,7 @@ def main():
         low_latency.start("virtual_lab", disable_signals=True)
     except rospy.ROSException:
         return 1
-    logging.getLogger("risc_simulator").handlers = logging.getLogger("rosout").handlers  # heard on screen and /rosout
+    logging.getLogger("risc_simulator").handlers = logging.getLogger("rosout").handlers  # log to screen and /rosout
     # rospy's own handlers would spend half a second inside the schedule; these let the lab finish its frame
     stop_event = threading.Event()
     rospy.on_shutdown(stop_event.set)

@@ -9,7 +9,7 @@ _TURN = itertools.count()
 
 @functools.cache
 def _guard():
-    """(Number of a network, socket that keeps it for this process until it ends)."""
+    """(Network number, socket that reserves it until this process ends)."""
     for number in range(100, 200):
         guard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -21,10 +21,10 @@ def _guard():
 
 
 def own_net():
-    """First two bytes of loopback addresses that are this process', e.g. "127.142"."""
+    """First two bytes of the loopback addresses reserved for this process, e.g. "127.142"."""
     return "127.%d" % _guard()[0]
 
 
 def free_port():
-    """A UDP port of this process alone, 27 in turn; none that Linux gives away by itself: those begin at 32768."""
+    """Return one of this process' 27 UDP ports, in turn. They are below 32768, where Linux's ephemeral ports begin."""
     return 30000 + 27 * (_guard()[0] - 100) + next(_TURN) % 27

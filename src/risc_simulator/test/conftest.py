@@ -1,4 +1,4 @@
-"""Time that tests turn."""
+"""Simulated time for tests."""
 
 import pathlib
 import select
@@ -12,7 +12,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))  # addresses.py
 
 
 class Clock:
-    """Time that passes while the lab waits and when the test turns it: a stall of this computer is not in it."""
+    """Simulated time: advances while the lab waits and when the test sets it; stalls of this computer do not count."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -29,7 +29,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    """In place of the lab's modules for time and waiting."""
+    """Clock that replaces the lab's `time` and `select` modules."""
     result = Clock()
     monkeypatch.setattr(virtual_lab, "time", result)
     monkeypatch.setattr(virtual_lab, "select", result)

@@ -1,4 +1,4 @@
-"""IRIS+s for tests, and hands on their sticks."""
+"""IRIS+ vehicles for tests, and a pilot's hands on their sticks."""
 
 import dataclasses
 import functools
@@ -33,21 +33,21 @@ def make_fleet(n=1, kind="iris", **extra):
 
 
 def make_world(n=1, changes=None, fleet=None, **options):
-    """changes: fields of the vehicle type."""
+    """Make a World. changes: {field of the vehicle type: value}."""
     options.setdefault("perturbed", False)
     fleet = fleet or make_fleet(n)
     return World(fleet, {"iris": dataclasses.replace(TYPE, **changes or {})}, load_templates(fleet=fleet), **options)
 
 
 class Hands:
-    """Send frames of channels to an IRIS+, as its receiver does, while the world goes on."""
+    """Sends frames of channels to an IRIS+, as its receiver does, and steps the world meanwhile."""
 
     def __init__(self, world, namespace="iris1"):
         self.world, self.vehicle = world, world.vehicles[namespace]
         self.autopilot = self.vehicle.firmware
 
     def send(self, duration_s, roll=CENTRE_US, pitch=CENTRE_US, throttle=LOWEST_US, yaw=CENTRE_US, until=None):
-        """The same frame for so long, or until something is so. Returns whether that was."""
+        """Repeat a frame for duration_s or until `until()`. Returns whether that became true; True without `until`."""
         end_s = self.world.time_s + duration_s
         while self.world.time_s < end_s - 1e-9:
             throttle_us = throttle() if callable(throttle) else throttle
@@ -58,7 +58,7 @@ class Hands:
         return until is None
 
     def wait(self, duration_s):
-        """Nothing comes from the receiver."""
+        """Let time pass without frames from the receiver."""
         self.world.step_to(self.world.time_s + duration_s)
 
     def arm(self):
@@ -68,18 +68,18 @@ class Hands:
         assert self.autopilot.armed
 
     def throttle_for(self, up_m_s2=0.0):
-        """Of this vehicle, as it is, for an upward acceleration while it is level."""
+        """Throttle [us] that gives this vehicle an upward acceleration while it is level."""
         plant = self.vehicle.plant
         thrust = plant.mass_kg * up_m_s2 / (plant.nominal_mass_kg * plant.thrust_scale * 9.80665)
         return round(CENTRE_US + 500.0 * (self.autopilot.hover_throttle(self.vehicle.battery_pct) + thrust))
 
     def keep(self, height_m):
-        """A throttle that goes to a height."""
+        """Throttle [us] that flies to a height and holds it."""
         error_m, climb_m_s = height_m - self.vehicle.height_m, self.vehicle.state.velocity_m_s[2]
         return self.throttle_for(min(2.0, max(-2.0, 4.0 * error_m - 3.5 * climb_m_s)))
 
     def stay(self, position_m):
-        """Roll and pitch sticks that go to a place, for a vehicle that looks along x."""
+        """Roll and pitch sticks [us] that fly a vehicle facing along x to a position."""
         state, kind = self.vehicle.state, self.vehicle.type
         away_m, speed_m_s = state.position_m - position_m, state.velocity_m_s
         angles = [-(2.0 * d + 2.0 * v) / 9.80665 for d, v in zip(away_m[:2], speed_m_s[:2])]

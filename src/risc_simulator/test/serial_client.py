@@ -19,7 +19,7 @@ def controls(phi=0.0, theta=0.0, psi=0.0, throttle=-1.0, name=b"fluffy_II", fram
 
 
 def packets(data):
-    """[(topic, payload)] of the whole packets in the bytes of a board."""
+    """[(topic, payload)] of the complete packets in the bytes that a board sent."""
     found, at = [], data.find(b"\xff\xfe")
     while 0 <= at <= len(data) - 8:
         length, topic = struct.unpack_from("<H", data, at + 2)[0], struct.unpack_from("<H", data, at + 5)[0]

@@ -1,4 +1,4 @@
-"""The AR.Drone on the wire: real loopback sockets, a clock that the test turns, a client that shares no code with it.
+"""The AR.Drone on the wire: real loopback sockets, simulated time, a client that shares no code with it.
 
 The client speaks bytes (struct, text) and knows only the public description of the protocol, so a mistake in the codec
 is not mirrored here.
@@ -101,7 +101,7 @@ class Client:
 
 
 class Lab:
-    """One vehicle, its host and a client; run() turns the clock."""
+    """One vehicle, its host and a client; run() advances the clock."""
 
     def __init__(self, vehicle, world=None, **options):
         self.world, self.vehicle = world, vehicle
@@ -122,7 +122,7 @@ class Lab:
         raise AssertionError("sockets stay readable")
 
     def lose_link(self, duration_s):
-        """From now on nothing passes in either direction."""
+        """From now on, for duration_s, nothing passes in either direction."""
         everywhere = self.vehicle.namespace + "/*"
         event = FaultEvent("link_blackhole", channel=everywhere, start_s=self.now_s, duration_s=duration_s)
         self.host.wires.add(event)
@@ -155,7 +155,7 @@ class Lab:
         self.run(0.1, ref=IDLE)
 
     def fly(self):
-        """Connect, take off, hover. It is lifted up, which spares the seconds of the way."""
+        """Connect, take off, hover. The vehicle is placed at its height, which saves the seconds of the climb."""
         self.connect()
         self.run(0.3, ref=START, pcmd=HOVER)
         assert self.vehicle.phase is FlightPhase.TAKING_OFF
@@ -195,7 +195,7 @@ def make_world(n=1, yaw_rad=0.0):
             )
             for i, name in enumerate(names)
         ),
-        own_networks=True,  # all have this one's address
+        own_networks=True,  # all vehicles share ADDRESS
     )
     templates = {name: Template(name, "vehicle", ("a", "b", "c", "d"), MARKERS) for name in names}
     return World(fleet, {"ardrone": VEHICLE_TYPE}, templates, perturbed=False)
@@ -319,7 +319,7 @@ def test_configuration_handshake(lab):
     packets = lab.run(0.1)
     assert packets[-1][0] & ACK and not packets[-1][0] & (BOOTSTRAP | DEMO)
     assert sorted(packets[-1][2]) == list(range(28)) and len(packets[-1][3]) == 2120
-    assert lab.run(0.2, ref=IDLE)[-1][0] & ACK  # it stays until it is cleared
+    assert lab.run(0.2, ref=IDLE)[-1][0] & ACK  # stays set until it is cleared
     lab.client.at("CTRL,5,0")
     packets = lab.run(0.2, ref=IDLE)
     assert not packets[-1][0] & ACK
@@ -377,7 +377,7 @@ def test_sequence_rules(fake_lab):
 
 
 def test_stale_commands_do_not_feed_the_watchdog(fake_lab):
-    """A client that starts again in the middle of the numbers is heard after the link counts as lost."""
+    """A client that restarts with a number above 1 is obeyed only after the link counts as lost."""
     lab = fake_lab()
     lab.client.sequence = 5000
     lab.run(0.1, pcmd=(1, 0.0, 0.0, 0.1, 0.0))
@@ -544,7 +544,7 @@ def test_lost_link_stops_navdata_hovers_and_lands(lab):
     lab.run(4.0)
     assert lab.vehicle.phase is FlightPhase.LANDED
 
-    # the client comes back with low numbers, still asking for flight: it has to ask anew
+    # the client returns with low numbers and START still set: START must be cleared and set again
     lab.client.sequence = 3
     lab.run(1.0, ref=START)
     assert not lab.state & COM_LOST and lab.state & 1 << 5  # heard, bit 9 included
@@ -838,7 +838,7 @@ def test_link_loss_in_both_directions(lab):
 
 
 def test_the_radio_loses_navdata_too(fake_lab):
-    """A gap in the numbers for every datagram that is lost, a fifth of them; a seed decides which."""
+    """Each lost datagram (a fifth of them) leaves a gap in the sequence numbers; the seed decides which are lost."""
     numbers = []
     for seed in (7, 7, 8):
         lab = fake_lab(radio_loss=0.2, seed=seed)
@@ -887,13 +887,13 @@ def test_delayed_commands_are_obeyed_later(lab):
 
 
 def stick(k):
-    """Bytes of one set of sticks that says its number."""
+    """A PCMD command, as bytes, that can be told by its number k."""
     return b"AT*PCMD=%d,1,%d,0,0,0\r" % (k, bits(k / 1000.0))
 
 
 @pytest.mark.parametrize("loss_s", [0.3, 0.05])  # the delay ends within the loss, or after it
 def test_what_was_sent_before_a_link_loss_arrives_once(fake_lab, loss_s):
-    """In both directions, whether a fault holds it back beyond the loss's begin or its end."""
+    """In both directions, with a delay that ends during the loss or after it."""
     lab = fake_lab()
     lab.connect()
     lab.run(0.5, ref=IDLE)
@@ -952,7 +952,7 @@ def test_configuration_readback(lab):
     lab.connect()
     lab.client.at("CTRL,4,0")
     lab.run(0.1, ref=IDLE)
-    assert not lab.state & ACK  # nobody listens: ask again
+    assert not lab.state & ACK  # no TCP client is connected: ask again
     connection = socket.create_connection((ADDRESS, lab.host.ports.control))
     lab.serve()
     lab.client.config("control:altitude_max", "2500")
@@ -977,7 +977,7 @@ def test_configuration_readback(lab):
 
 
 def test_faults_act_on_the_configurations_stream(lab):
-    """Delayed, held up, and cut; the host goes on with others."""
+    """The text is delayed, held up or cut; the host goes on serving other clients."""
     lab.connect()
     connection = socket.create_connection((ADDRESS, lab.host.ports.control))
     lab.serve()
@@ -1173,7 +1173,7 @@ def test_what_a_real_capture_has_at_rest(fake_lab):
 
 
 def test_camera_rotation_as_in_a_real_capture(fake_lab):
-    """Of an aircraft in the air: theta -6.514, phi -0.558 degrees, turned by 5.11 since it was switched on."""
+    """Captured in flight: theta -6.514, phi -0.558 degrees, heading changed by 5.11 degrees since power-on."""
     lab = fake_lab()
     lab.connect()
     lab.vehicle.change(theta=math.radians(-6.514), phi=math.radians(-0.558), psi=math.radians(5.109))
@@ -1184,10 +1184,10 @@ def test_camera_rotation_as_in_a_real_capture(fake_lab):
 
 @pytest.mark.parametrize("demo", [False, True])
 def test_camera_translation_is_the_way_flown_in_axes_of_the_start(fake_lab, demo):
-    """Switched on looking east; then it looks south and flies west: to the right of where it stood, seen then."""
+    """Axes of the start, facing east: x east, y south. Then it faces south and flies west, a little to the south."""
     lab = fake_lab(FakeVehicle(psi=math.pi / 2))
     lab.connect(demo)
-    lab.vehicle.change(psi=math.pi, velocity_m_s=np.array([0.0, 0.5, 0.0]))  # y is left of north: west
+    lab.vehicle.change(psi=math.pi, velocity_m_s=np.array([0.0, 0.5, 0.0]))  # cortex y: west
     first = Navdata(lab.run(0.2, ref=IDLE)[-1][3]).option(0).drone_camera_trans
     lab.vehicle.change(velocity_m_s=np.array([-0.2, 0.5, 0.0]))  # and south
     second = Navdata(lab.run(2.0, ref=IDLE)[-1][3]).option(0).drone_camera_trans
@@ -1278,7 +1278,7 @@ def test_every_option_can_be_read_and_the_landed_vehicle_is_at_rest(lab):
 
 @pytest.fixture
 def served(lab):
-    """The same, served by a thread of its own while a client that blocks is used."""
+    """The lab, served by its own thread while the test uses a blocking client."""
     stop = threading.Event()
 
     def serve():
@@ -1295,7 +1295,7 @@ def served(lab):
 
 @pytest.mark.parametrize("passive", [True, False])
 def test_the_version_is_read_by_ftp(served, passive):
-    """As Parrot's own library does before it starts; so that it knows an AR.Drone 2.0 from the first one."""
+    """As Parrot's own library does before it starts, to tell an AR.Drone 2.0 from the first model."""
     with ftplib.FTP() as ftp:
         ftp.connect(ADDRESS, served.host.ports.ftp, timeout=15.0)
         ftp.login()  # anonymous

@@ -1,4 +1,4 @@
-"""The checkerboard in motion: whole in the picture, smooth, and good for a calibration."""
+"""The moving checkerboard: fully in the picture, smooth, and suitable for a calibration."""
 
 import pathlib
 import sys
@@ -46,7 +46,7 @@ def test_it_goes_everywhere_near_and_far_and_tilted(waved):
 
 
 def test_it_moves_smoothly_and_is_held_still(inputs):
-    """Held at every posture; smooth in the last moves of a round and over its seam, with --all in all of them."""
+    """Held still in every posture; smooth in the last moves of a round and into the next one (--all: in all moves)."""
     waving = Waving(Camera(load_calibration("risc2.yaml")))
     for at_s in held_s():
         before, after = waving.posture(at_s - 0.25), waving.posture(at_s + 0.25)
@@ -85,7 +85,7 @@ def test_it_shows_its_face():
 
 
 def test_a_board_that_cannot_be_shown_is_refused():
-    # all that its distortion leaves of the picture is a spot
+    # its distortion leaves only a spot of the picture
     blind = CameraCalibration.from_intrinsics("keyhole", (16, 12), (20.0, 20.0), (-300.0, 6.0))
     with pytest.raises(ValueError, match="keyhole"):
         Waving(Camera(blind))

@@ -1,4 +1,4 @@
-"""Compiled code: it runs as plain Python, too, with the same results, and nothing is compiled or loaded in flight."""
+"""Compiled code gives the same results as plain Python, and nothing is compiled or loaded in flight."""
 
 import os
 import pathlib

@@ -1,4 +1,4 @@
-"""The virtual Cortex host, asked over real loopback sockets, with a world and a clock that only the test moves."""
+"""The virtual Cortex host over real loopback sockets; only the test moves its world and its clock."""
 
 import select
 import socket
@@ -29,7 +29,7 @@ class Endpoint:
     command_port: int = 0
     stream_group: str = GROUP
     stream_port: int = 45678
-    interface: str = "192.0.2.254"  # the client's card, on another computer: nothing to the host
+    interface: str = "192.0.2.254"  # the client's network card, on another computer: the host ignores it
     rate_hz: float = 200.0
     reported_delay_s: float = DELAY_S
 
@@ -52,7 +52,7 @@ class World:
 
 
 class Lab:
-    """A host in its loop, time by hand."""
+    """A host and its loop, with simulated time."""
 
     def __init__(self, world=None, endpoint=None, cameras=None, **options):
         self.world = World() if world is None else world
@@ -76,14 +76,14 @@ class Lab:
         return sock
 
     def step(self, frames=1, period_s=PERIOD_S):
-        """The loop of the virtual lab."""
+        """Run the loop of the virtual lab for some frames."""
         for _ in range(frames):
             self.world.time_s += period_s
             self.now_s = self.world.time_s + DELAY_S
             self.host.tick(self.now_s)
 
     def serve(self):
-        """Let the host answer everything that waits."""
+        """Let the host answer all requests that are waiting."""
         while True:
             ready = select.select(self.host.sockets(), [], [], 0.0)[0]
             if not ready:
@@ -351,7 +351,7 @@ def test_recording_status_travels_with_the_frames(lab):
     lab.text(client, "SetOutputName=take_01")
     lab.text(client, "StartRecording")
     lab.step(1)
-    lab.text(client, "StartRecording")  # the repeat of an impatient client starts nothing anew
+    lab.text(client, "StartRecording")  # a repeated request does not start another recording
     lab.step(2)
     assert lab.frame(client).recording == (1, 5, 0, "take_01.cap")
     lab.text(client, "StopRecording")
@@ -493,7 +493,7 @@ def test_periods_that_the_world_jumped_over_are_counted_and_numbers_stay_continu
 
 
 def test_late_in_a_long_run_there_is_still_one_frame_a_period(make_lab):
-    """The world accumulates its time in floating point; that must not cost or double an exposure."""
+    """The world accumulates its time in floating point; this must not skip or repeat an exposure."""
     lab = make_lab(live_on_start=True)
     for start_s in (0.0, 5000.0, 86400.0):
         lab.world.time_s = start_s
@@ -583,7 +583,7 @@ def test_unknown_commands_are_answered_as_such(lab):
 
 @pytest.mark.parametrize("code", [2, 3, 11, 13, 15, 16, 0x5678])
 def test_what_only_hosts_send_is_not_answered(lab, code):
-    """Else two hosts that hear each other would talk for ever."""
+    """Otherwise two hosts that hear each other would answer each other endlessly."""
     client = lab.client()
     lab.send(client, wire.encode_packet(code, bytes(200)))
     assert received(client) == []
@@ -692,7 +692,7 @@ def test_who_comes_who_pauses_and_who_talks_nonsense_is_said_once_and_then_count
 
 def test_an_address_that_cannot_be_reached_is_counted(make_lab, caplog):
     lab = make_lab(endpoint=Endpoint(stream_group="192.0.2.77"), live_on_start=True)
-    lab.step(3)  # from a loopback address nothing leaves this computer
+    lab.step(3)  # packets from a loopback address cannot leave this computer
     statistics = lab.host.statistics()
     assert statistics["send_errors"] == 4  # the announcement and three frames
     assert (statistics["frames_exposed"], statistics["frames_sent"]) == (3, 0)

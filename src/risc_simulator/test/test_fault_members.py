@@ -1,4 +1,4 @@
-"""What each fault on frames, vehicles, links and hosts does, in simulated time."""
+"""Effects of each fault on frames, vehicles, links and hosts, in simulated time."""
 
 import math
 import socket
@@ -23,7 +23,7 @@ from risc_simulator.world import X
 
 
 def picture(text, vehicles=3, seed=1, frames=1):
-    """(Lab, [(exact, seen)]) of frames while a fault acts on risc2, 5 ms apart."""
+    """(Lab, [(exact, seen)]) of frames, 5 ms apart, while the fault `text` acts."""
     lab, found = Lab(vehicles, seed), []
     lab.add(text)
     for _ in range(frames):
@@ -91,7 +91,7 @@ def test_ghost_marker_takes_a_label_and_the_marker_goes_without():
 
 @pytest.mark.parametrize("angle_deg", [180.0, 90.0, -30.0])
 def test_flip_turns_a_body_about_its_own_vertical_axis(angle_deg):
-    """The body flies tilted: the axis is not that of the room."""
+    """The body is tilted, so its vertical axis is not that of the room."""
     lab = Lab()
     vehicle = lab.world.vehicles["risc2"]
     vehicle.schedule(0.0, Setpoint(roll_rad=0.3, pitch_rad=-0.2))
@@ -188,7 +188,7 @@ def test_bad_coordinates_are_in_packets_and_in_frames(name, axis, value_m):
     changed_bytes = np.flatnonzero(np.frombuffer(packet, np.uint8) != np.frombuffer(arrived[1], np.uint8))
     count = len(bad)
     assert 0 < len(changed_bytes) <= 4 * count and np.ptp(changed_bytes) < 12 * count
-    frame = wire.decode_frame(wire.split_packet(arrived[1])[1])  # no client may believe it
+    frame = wire.decode_frame(wire.split_packet(arrived[1])[1])  # no client can take it for valid
     for body in frame.bodies:
         assert np.isnan(body.markers_mm).all() == (body.name == lab.world.vehicles["risc2"].template)
     reply = wire.encode_packet(wire.Command.GENERAL_REPLY, bytes(packet[4:]))
@@ -208,7 +208,7 @@ def test_bad_coordinates_may_be_those_of_a_share_of_the_markers():
 
 
 def arrivals(text, duration_s=60.0, channel="cortex/stream"):
-    """Times [s] at which datagrams arrive that are sent every 5 ms."""
+    """Arrival times [s] of datagrams that are sent every 5 ms."""
     wires = Wires(1)
     one, found = wires.wire(channel), []
     wires.add(parse_fault(text))
@@ -332,7 +332,7 @@ def test_added_mass_sinks_until_the_loop_has_learned_it_and_goes_again():
 
 @pytest.fixture
 def lab(clock):
-    """A virtual lab of two AR.Drones and an IRIS+, whose clock is turned by its steps; and a client's socket."""
+    """(Virtual lab of two AR.Drones and an IRIS+, whose steps advance the clock; socket of a client)."""
     lab = VirtualLab(default_fleet_of("mixed3.yaml"), subnet=own_net(), seed=3, live=True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(5.0)
@@ -350,7 +350,7 @@ def steps(lab, duration_s):
 
 
 def ask(client, address, packet, lab):
-    """The host's answer within some steps; None: it is silent."""
+    """Return the host's answer within 20 steps, or None."""
     client.setblocking(False)
     client.sendto(packet, address)
     for _ in range(20):
@@ -374,7 +374,7 @@ def test_the_cortex_host_is_gone_and_comes_again_with_nothing_known(lab):
     lab.inject(parse_fault("host_restart:0.5"))
     steps(lab, 0.02)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(address)  # nobody has it
+        probe.bind(address)  # the address is free
     sent = host.statistics()["frames_sent"]
     assert ask(client, address, HELLO, lab) is None and host.statistics()["frames_sent"] == sent
     steps(lab, 0.6)
@@ -399,7 +399,7 @@ def test_a_cortex_host_whose_address_is_taken_waits_for_it(lab):
 
 
 def heard(lab, client, duration_s, says, every_s=0.2):
-    """Datagrams that come while the lab goes on; says: (address, datagram) that the client sends every so often."""
+    """Datagrams that arrive while the lab runs; says() gives the (address, datagram) pairs to send every every_s."""
     found = []
     client.setblocking(False)
     for k in range(round(duration_s / FRAME_S)):
@@ -436,7 +436,7 @@ def test_an_ardrone_repeats_what_it_said_and_then_its_link_is_gone(lab):
     numbers = [peek(packet).sequence for packet in fresh + stuck]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     lab.inject(parse_fault("link_blackhole:0.65,risc1"))
-    assert len(heard(lab, client, 0.6, says)) <= 1  # what was on its way
+    assert len(heard(lab, client, 0.6, says)) <= 1  # it was in transit
     assert len(times(heard(lab, client, 0.4, says))) > 60
 
 
@@ -455,7 +455,7 @@ def test_an_iris_repeats_what_it_said_and_its_cable_stays(lab):
     def messages(duration_s):
         parser, found = mavlink.MAVLink(None), []
         for datagram in heard(lab, client, duration_s, says):
-            found += parser.parse_buffer(datagram) or []  # raises for what is damaged
+            found += parser.parse_buffer(datagram) or []  # raises on damaged data
         return found
 
     def times(messages):

@@ -1,4 +1,4 @@
-"""Faults on the wire: what each does, with a seed; statistics; windows; datagrams of every host pass them."""
+"""Faults on the wire: effect of each, seeds, statistics, windows, and that every host's datagrams pass through."""
 
 import math
 
@@ -22,7 +22,7 @@ DATAGRAMS = [b"%05d" % k for k in range(4000)]
 
 
 def carry(*faults, seed=1, count=len(DATAGRAMS), gap_s=GAP_S, channel="risc1/navdata"):
-    """[(time sent, time of arrival, datagram)] of so many datagrams, in the order of their arrival."""
+    """[(time sent [s], time of arrival [s], datagram)] of `count` datagrams, in order of arrival."""
     wires = Wires(seed)
     wire, arrived = wires.wire(channel), []
     for fault in faults:
@@ -59,7 +59,7 @@ def test_drop_loses_its_share_one_by_one(severity):
     assert lost == pytest.approx(severity, abs=4.0 * np.sqrt(severity * (1 - severity) / len(DATAGRAMS)) + 1e-12)
     assert arrived == sorted(arrived)
     gone = np.isin(DATAGRAMS, arrived, invert=True)
-    if 0.0 < severity < 1.0:  # a loss says nothing about the next
+    if 0.0 < severity < 1.0:  # losses are independent
         assert (gone[1:] & gone[:-1]).mean() == pytest.approx(severity**2, abs=0.03)
 
 
@@ -80,7 +80,7 @@ def test_jitter_is_uniform_and_lets_datagrams_overtake():
 
 
 def test_corrupt_leaves_alone_what_has_no_bytes():
-    """Offline flights let frames and setpoints pass as they are."""
+    """Offline flights carry frames and setpoints as objects, not bytes."""
     wires = Wires(1)
     wire = wires.wire("risc1/commands")
     wires.add(FaultEvent("corrupt", channel="*", severity=1.0))
@@ -116,7 +116,7 @@ def test_truncate_leaves_the_beginning():
 
 
 def test_wrong_reply_is_another_command_with_the_same_content():
-    """Of Cortex' protocol; the length is as sent, so that the packet is well formed."""
+    """In the Cortex protocol; the length stays the same, so the packet is well formed."""
     wires, reply = Wires(1), wire.encode_packet(wire.Command.GENERAL_REPLY, b"abc")
     replies = wires.wire("cortex/replies")
     wires.add(FaultEvent("wrong_reply", channel="cortex/replies", severity=0.5))
@@ -291,7 +291,7 @@ def test_a_fault_sees_nothing_before_and_after_its_window():
 
 @pytest.mark.parametrize("text, together", [("burst:0.1", True), ("intermittent:0.5", True), ("loss:0.5", False)])
 def test_a_network_that_is_silent_is_so_on_all_channels_at_once(text, together):
-    """Else what a client asks for, and what it is answered, would pass while the stream is silent."""
+    """Otherwise requests and replies would pass while the stream is silent."""
     wires, passed = Wires(seed=1), {"cortex/stream": [], "cortex/replies": []}
     for channel in passed:
         wires.wire(channel)
@@ -314,7 +314,7 @@ class Connection:
 
 
 class Stream:
-    """A stream with connections, and time that the test turns."""
+    """A stream with connections, in simulated time."""
 
     def __init__(self, *faults, seed=1):
         self.wires, self.now_s = Wires(seed), 0.0
@@ -425,7 +425,7 @@ def test_cut_ends_one_connection():
 
 
 def test_a_fault_acts_where_it_makes_sense():
-    """What loses, doubles or damages datagrams would be no TCP; a fault on both kinds acts on those that it can."""
+    """TCP cannot lose, repeat or damage data. A fault given for both kinds acts only on the channels that allow it."""
     wires = Wires()
     datagrams, stream = wires.wire("risc1/navdata"), wires.stream("risc1/video")
     for fault in ("drop", "duplicate", "reorder", "corrupt", "truncate", "wrong_reply"):

@@ -1,4 +1,4 @@
-"""Gusts by the speed of the air, and by what they do to a vehicle."""
+"""Gusts: velocity of the air, and effect on a vehicle."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ STEP_S = 0.005
 
 
 def blown(gusts, seconds=400.0, **plant):
-    """(k, 3, n) velocity of the air in every step; the plants of the vehicles, which stand on the floor."""
+    """((k, 3, n) velocity of the air [m/s] in every step, plants of the n vehicles, which stand on the floor)."""
     world = World(FLEET, {"ardrone": load_vehicle_type("ardrone")}, load_templates(), 3, True, gusts, STEP_S)
     for vehicle in world.vehicles.values():
         vehicle.change_plant(**plant)
@@ -28,7 +28,7 @@ def blown(gusts, seconds=400.0, **plant):
 
 
 def test_their_spread_and_correlation():
-    """Also of vehicles that are not as they were drawn; 400 s are 400 times the correlation, to either side."""
+    """Also for vehicles whose plant was changed after the draw; 400 s are 400 times the two-sided correlation time."""
     wind_m_s, plants = blown(Gusts(push_m_s2=0.1, time_s=0.5), drag_n_s_m=0.25)
     for i, plant in enumerate(plants):
         push_m_s2 = wind_m_s[:, :, i] * plant.drag_n_s_m / plant.mass_kg
@@ -41,7 +41,7 @@ def test_their_spread_and_correlation():
 
 
 def test_a_push_is_what_accelerates_a_vehicle():
-    """Of two worlds that differ in the gusts alone: by their push."""
+    """Two worlds that differ only in the gusts: their velocities differ by the push times the step."""
     kinds = {"ardrone": load_vehicle_type("ardrone")}
     calm, gusty = (World(FLEET, kinds, load_templates(), 3, True, gusts) for gusts in (False, Gusts(push_m_s2=0.1)))
     for world in (calm, gusty):

@@ -1,4 +1,4 @@
-"""The injector: who is meant, from when to when, with which seed; faults on frames, vehicles and hosts."""
+"""The injector: target, begin, end and seed of faults; faults on frames, vehicles and hosts."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ FRAME_S = 0.005
 
 
 class Lab:
-    """A world that flies, its wires and an injector, with a clock that the test turns."""
+    """A world of flying vehicles, its wires and an injector, in simulated time."""
 
     def __init__(self, vehicles=3, seed=1, kind="ardrone", gusts=False):
         fleet = generated_fleet(vehicles, 1.5)
@@ -46,7 +46,7 @@ class Lab:
         return Observation(self.now_s, self.world.layout, self.world.markers_m().copy(), np.empty((0, 3)))
 
     def seen(self, exact=None):
-        """Observations that come through cortex/frames now."""
+        """Observations that come through cortex/frames when one is sent now."""
         found = []
         seen = self.exact() if exact is None else exact
         self.frames.carry(seen, None, self.now_s, lambda seen, *_: found.append(seen))
@@ -72,7 +72,7 @@ def test_a_jump_moves_one_vehicle_while_it_lasts():
     exact = lab.exact()
     before = exact.markers_m.copy()
     (seen,) = lab.seen(exact)
-    np.testing.assert_array_equal(exact.markers_m, before)  # what others hold stays as it is
+    np.testing.assert_array_equal(exact.markers_m, before)  # the input is not modified
     moved_m = lab.markers(seen, "risc2") - lab.markers(exact, "risc2")
     assert np.ptp(moved_m, axis=0).max() < 1e-12
     assert math.hypot(*moved_m[0, :2]) == pytest.approx(0.4) and moved_m[0, 2] == 0.0
@@ -148,7 +148,7 @@ def test_what_cannot_happen_is_refused_and_leaves_no_trace(text, message):
 
 @pytest.mark.parametrize("gusts", [False, True])
 def test_wind_is_the_mean_velocity_of_the_air(gusts):
-    """Of a vehicle on its own, as long as it holds level: it drifts with the air in the end, against its drag."""
+    """Only for the chosen vehicle. Held level, it is dragged along until it drifts with the air."""
     calm, windy = Lab(gusts=gusts), Lab(gusts=gusts)
     windy.add("wind:2,risc1,duration_s=3@0.5")
     found = []

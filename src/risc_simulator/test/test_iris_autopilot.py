@@ -1,4 +1,4 @@
-"""The autopilot of a virtual IRIS+: modes, arming and why not, gestures, failsafes, overrides, landing."""
+"""The autopilot of a virtual IRIS+: modes, arming and its refusals, gestures, failsafes, overrides, landing."""
 
 import functools
 
@@ -27,7 +27,7 @@ def flyer():
 
 
 def goes_up(hands):
-    """Whether it leaves the floor when the throttle says so."""
+    """Whether it leaves the floor with the throttle raised."""
     hands.send(1.0, throttle=hands.throttle_for(1.0))
     return hands.vehicle.height_m > 0.2
 
@@ -126,7 +126,7 @@ def test_yaw_left_disarms_on_the_ground_and_not_in_the_air(hands):
     hands.send(0.2, yaw=LOWEST_US)
     assert not hands.autopilot.armed
     hands.take_off(1.4)
-    hands.autopilot.set_mode(Mode.ALT_HOLD)  # down at full speed, and the gesture on the way
+    hands.autopilot.set_mode(Mode.ALT_HOLD)  # descends at full speed, with the disarming gesture
     hands.send(0.7, yaw=LOWEST_US)
     assert hands.autopilot.armed and hands.vehicle.phase is FlightPhase.FLYING
 
@@ -191,13 +191,13 @@ def test_alt_hold_climbs_by_the_throttle_beyond_its_dead_zone(throttle_us, share
 
 @pytest.mark.parametrize("mode, descent_m_s", [(Mode.ALT_HOLD, 0.0), (Mode.LAND, LAND_M_S)])
 def test_what_the_throttle_hovered_with_is_known_when_the_climb_loop_takes_over(mode, descent_m_s):
-    """Without that a perturbed vehicle sags, or rises, for seconds."""
+    """Otherwise a perturbed vehicle would sink or rise for seconds."""
     worst_m_s = 0.0
     for seed in range(6):
         hands = Hands(make_world(perturbed=True, seed=seed))
         hands.vehicle.fly_at((0.0, 0.0, 1.5))
         hands.fly_to(1.5, 6.0)
-        hands.send(0.06, throttle=LOWEST_US)  # as a transmitter's failsafe does, before it counts
+        hands.send(0.06, throttle=LOWEST_US)  # as a transmitter's failsafe does, before the autopilot reacts to it
         hands.autopilot.set_mode(mode)
         hands.send(1.2, throttle=CENTRE_US)
         worst_m_s = max(worst_m_s, abs(hands.vehicle.state.velocity_m_s[2] + descent_m_s))

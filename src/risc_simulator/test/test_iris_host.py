@@ -23,14 +23,14 @@ CONTROLS_S = 0.022
 
 
 class Station:
-    """A lab, the computer at the serial line of its first vehicle, and one with telemetry, in the lab's own time."""
+    """A lab, and clients of its first vehicle's serial line and telemetry, in the lab's own time."""
 
     def __init__(self, n=1, **options):
         self.lab = VirtualLab(make_fleet(n), seed=3, **options)
         self.address = self.lab.fleet.vehicles[0].address
         self.vehicle = self.lab.world.vehicles["iris1"]
         self.autopilot, self.host = self.vehicle.firmware, self.lab.vehicle_hosts["iris1"]
-        self.vehicle.change_plant(roll_level_rad=0.0, pitch_level_rad=0.0)  # nobody holds its place
+        self.vehicle.change_plant(roll_level_rad=0.0, pitch_level_rad=0.0)  # no pilot holds its position
         self.line, self.bytes, self._next_s = None, b"", 0.0
         self.telemetry = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.telemetry.connect((self.address, STANDARD_PORTS.telemetry))
@@ -83,7 +83,7 @@ class Station:
                 self.heard += self._codec.parse_buffer(self.telemetry.recv(2048)) or []
 
     def inject(self, text):
-        """Let a fault happen, in the words of the command line."""
+        """Inject a fault, given in the syntax of the command line."""
         self.lab.inject(parse_fault(text))
 
     def tell(self, message):
@@ -96,7 +96,7 @@ class Station:
         assert self.autopilot.armed
 
     def keep(self, height_m=1.0):
-        """Throttle for a height, of one who sees the vehicle."""
+        """Throttle that holds a height, from the vehicle's true state."""
         vehicle = self.vehicle
         up_g = (4.0 * (height_m - vehicle.height_m) - 3.5 * vehicle.state.velocity_m_s[2]) / 9.8
         return self.autopilot.hover_throttle(vehicle.battery_pct) + min(0.2, max(-0.2, up_g))
@@ -126,7 +126,7 @@ def flyer(station):
 
 
 def test_it_says_where_it_is_to_be_reached(station):
-    words = station.lab.describe().splitlines()[-1].split()  # scripts take a word as it is: no comma at its end
+    words = station.lab.describe().splitlines()[-1].split()  # scripts take words as they are: no trailing commas
     assert "udp://%s:14550" % station.address in words and "socket://%s:11411" % station.address in words
 
 
@@ -151,7 +151,7 @@ def test_telemetry_tells_of_the_flight(flyer):
 
 
 def test_a_command_takes_effect_after_line_frame_and_radio(flyer):
-    """The delay of the type, beside the wait for the next frame."""
+    """The delay of the vehicle type, plus the wait for the next frame."""
     flyer.run(1.0, {"throttle": flyer.keep})
     began_s = flyer.lab.world.time_s
     flyer._next_s = began_s
@@ -194,7 +194,7 @@ def test_a_client_that_is_silent_does_the_same(flyer):
 
 
 def test_a_board_that_is_reset_in_flight_lands_the_vehicle(flyer):
-    """By opening its port again."""
+    """Opening its port again resets the board."""
     flyer.hang_up()
     flyer.run(0.02)
     flyer.connect()
@@ -222,7 +222,7 @@ def test_silence_on_its_wires_lands_it(flyer, channel):
 
 
 def test_without_the_faults_it_would_fly_on(flyer):
-    """The control arm of the tests of what fails."""
+    """Control arm of the failure tests."""
     assert not flyer.lands(7.0, {"throttle": flyer.keep})
     assert flyer.vehicle.height_m == pytest.approx(1.0, abs=0.06)
 

@@ -1,7 +1,7 @@
 """MAVLink of the virtual Pixhawk: each service once, with bytes, from a client that shares no code with it.
 
 The client packs and unpacks with struct and the public description of the protocol; the autopilot is a stand-in that
-only records what it is told, so that every state can be put before the messages.
+only records what it is told, so that the messages can be tested in every state.
 """
 
 import collections
@@ -30,7 +30,7 @@ ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 STABILIZE, ALT_HOLD, GUIDED, LAND = 0, 2, 4, 9
 STEP_S = 0.005
 
-# name: (id, CRC extra, payload of MAVLink 1, what MAVLink 2 has added); fields in the order of the wire
+# name: (id, CRC extra, payload format of MAVLink 1, MAVLink 2 extension fields), in wire order
 DIALECT = {
     "HEARTBEAT": (0, 50, "IBBBBB", ""),
     "SYS_STATUS": (1, 124, "IIIHHhHHHHHHb", "III"),
@@ -102,7 +102,7 @@ def checksum(data):
 
 
 def frame(name, *values, version=2, system=STATION, component=190):
-    """Bytes of a message. values: in the order of the wire; those of MAVLink 2 may be left out."""
+    """Bytes of a message. values: in wire order; MAVLink 2 extension fields may be omitted."""
     number, extra, base, added = DIALECT[name]
     added = (
         added
@@ -143,7 +143,7 @@ def read(data):
 
 
 class Vehicle:
-    """What the messages are made of."""
+    """The vehicle state that the messages report."""
 
     def __init__(self):
         self.namespace, self.phase = "iris1", FlightPhase.LANDED
@@ -167,7 +167,7 @@ class Vehicle:
 
 
 class Autopilot:
-    """Does as it is told, and remembers it."""
+    """Obeys orders and records them."""
 
     def __init__(self):
         self.vehicle, self.parameters = Vehicle(), Parameters()
@@ -203,7 +203,7 @@ class Autopilot:
 
 
 class Lab:
-    """A Mavlink, and the clock that the test turns."""
+    """A Mavlink in simulated time."""
 
     def __init__(self):
         self.autopilot, self.now_s = Autopilot(), 0.0
@@ -211,13 +211,13 @@ class Lab:
         self.mavlink = Mavlink(self.autopilot, SYSTEM, lambda data, address: self.sent.append((data, address)))
 
     def take(self, address=ME):
-        """Messages to a client since the last time."""
+        """Return the messages sent to a client since the last call."""
         mine = [read(data) for data, to in self.sent if to == address]
         self.sent = [(data, to) for data, to in self.sent if to != address]
         return mine
 
     def say(self, name, *values, address=ME, **options):
-        """Messages that answer one of a client."""
+        """Send a client's message; return the answers."""
         return self.say_bytes(frame(name, *values, **options), address)
 
     def say_bytes(self, data, address=ME):
@@ -234,7 +234,7 @@ class Lab:
         return self.say("HEARTBEAT", 0, 6, 8, 0, 4, 3, address=address, **options)
 
     def order(self, command, *params, **options):
-        """(result of the command, other answers)."""
+        """Send a command; return (its result, other answers)."""
         self.now_s += STEP_S
         params = [*params, *[0.0] * (7 - len(params))]
         *others, ack = self.say("COMMAND_LONG", *params, command, SYSTEM, 1, 0, **options)
@@ -242,7 +242,7 @@ class Lab:
         return ack.values[1], others
 
     def told(self, name, **options):
-        """Values of a message that is asked for once."""
+        """Request a message once; return its values."""
         result, (message,) = self.order(512, ID[name], **options)
         assert result == ACCEPTED and message.name == name
         return message.values
@@ -307,7 +307,7 @@ def test_there_is_an_end_to_the_number_of_clients():
     assert [bool(answer) for answer in answers] == [True] * MAX_CLIENTS + [False] * 3
     lab.run(5.0)
     lab.connect(address=("127.0.0.1", 50001))
-    assert lab.connect() and ("127.0.0.1", 50000) not in lab.mavlink.clients  # that it was silent longest
+    assert lab.connect() and ("127.0.0.1", 50000) not in lab.mavlink.clients  # the longest silent was dropped
     assert len(lab.mavlink.clients) == MAX_CLIENTS and ("127.0.0.1", 50001) in lab.mavlink.clients
 
 
@@ -341,7 +341,7 @@ def test_a_frame_is_found_among_other_bytes(before, after):
 
 
 def test_a_datagram_of_false_starts_is_given_up():
-    """Looking at every byte of 64 kB of them would hold up the lab for a second."""
+    """Searching 64 kB of them byte by byte would hold up the lab for a second."""
     lab = Lab()
     assert names(lab.say_bytes(b"\xfe" * 20 + b"\0" * 300 + PING)) == ["HEARTBEAT", "PING"]
     assert lab.say_bytes(b"\xfe" * 60000 + PING) == []
@@ -389,7 +389,7 @@ def test_no_bytes_raise(parts):
 
 @given(st.sampled_from(sorted(DIALECT)), st.binary(min_size=255, max_size=255), st.sampled_from([1, 2]))
 def test_no_values_raise(name, data, version):
-    """Frames that are right with any content: infinite and unheard-of numbers, texts that are no text."""
+    """Valid frames with any content: infinities, unknown numbers, invalid text."""
     number, extra, base, added = DIALECT[name]
     form = "<" + base + (added if version == 2 else "")
     payload = bytearray(data[: struct.calcsize(form)])
@@ -406,7 +406,7 @@ def test_no_values_raise(name, data, version):
     lab.run(0.02)
 
 
-# ------------------------------------------------------------------ who it is
+# ------------------------------------------------------------------ identity
 
 
 def test_version_and_capabilities_by_both_commands(lab):
@@ -438,7 +438,7 @@ def test_every_command_is_acknowledged_to_its_sender(lab):
 def test_ping_and_timesync(lab):
     lab.now_s = 12.5
     assert lab.say("PING", 77, 8, 0, 0)[0].values == (77, 8, STATION, 190)
-    assert lab.say("PING", 77, 8, STATION, 190) == []  # an answer to somebody
+    assert lab.say("PING", 77, 8, STATION, 190) == []  # this is an answer, not a request
     assert lab.say("TIMESYNC", 0, 4711)[0].values == (12500000000, 4711)
     assert lab.say("TIMESYNC", 5, 4711) == []
 
@@ -512,7 +512,7 @@ def test_a_parameter_that_cannot_be_is_refused(lab, name, value, error):
 
 
 def test_parameters_that_have_limits_are_used():
-    """The rest is said to do nothing."""
+    """The others are documented as having no effect."""
     folder = pathlib.Path(mavlink_module.__file__).parent
     source = " ".join(path.read_text(encoding="utf-8") for path in folder.glob("*.py"))
     limits = load_yaml(package_file("risc_simulator", "config/iris_parameters.yaml"))
@@ -588,7 +588,7 @@ def test_data_streams(lab, stream):
     counts = collections.Counter(names(lab.run(2.0)))
     del counts["HEARTBEAT"]
     assert counts == dict.fromkeys(STREAMS[stream], 8)
-    lab.say("REQUEST_DATA_STREAM", 4, SYSTEM, 1, stream, 1)  # again, as stations do every few seconds: no more of them
+    lab.say("REQUEST_DATA_STREAM", 4, SYSTEM, 1, stream, 1)  # repeated, as stations do: the rate stays
     counts = collections.Counter(names(lab.run(2.0)))
     del counts["HEARTBEAT"]
     assert counts == dict.fromkeys(STREAMS[stream], 8)
@@ -617,9 +617,9 @@ def test_message_intervals(lab):
     assert lab.order(510, attitude)[1][0].values == (2**31 - 1, attitude)
     assert lab.order(511, 264.0, 1e5) == (UNSUPPORTED, [])
     assert lab.order(510, 264.0)[0] == UNSUPPORTED
-    assert lab.order(511, 0.0, 1e5) == (DENIED, [])  # its heartbeat nobody changes
+    assert lab.order(511, 0.0, 1e5) == (DENIED, [])  # the heartbeat's interval cannot be changed
     assert lab.order(511, attitude, 1.0) == (ACCEPTED, [])
-    assert names(lab.run(1.0)).count("ATTITUDE") in (50, 51)  # no more: clients cannot hold up the lab
+    assert names(lab.run(1.0)).count("ATTITUDE") in (50, 51)  # the rate is limited: clients cannot overload the lab
 
 
 def test_an_interval_of_0_is_the_default_that_of_its_stream(lab):
@@ -642,7 +642,7 @@ def test_what_a_late_cycle_has_missed_does_not_follow(lab):
     assert names(lab.run(5.0)).count("HEARTBEAT") == 5
 
 
-# ------------------------------------------------------------------ what it tells
+# ------------------------------------------------------------------ telemetry
 
 
 def test_attitude_and_place_in_the_axes_of_mavlink(lab):
@@ -708,7 +708,7 @@ def test_motors_in_the_order_of_the_autopilot(lab):
     lab.autopilot.vehicle.firmware.armed = True
     lab.autopilot.vehicle.change(motor_pwm=(51, 102, 153, 204))  # front left, front right, rear right, rear left
     assert lab.told("SERVO_OUTPUT_RAW")[1:5] == (1400, 1800, 1200, 1600)
-    assert lab.told("VFR_HUD")[5] == 4  # of the greatest thrust, which goes with the square
+    assert lab.told("VFR_HUD")[5] == 4  # percent of the maximum thrust, which is proportional to pwm squared
 
 
 def test_channels(lab):
@@ -748,7 +748,7 @@ def test_battery(lab):
     vehicle.change(battery_pct=20.0)
     lab.now_s += 1.0
     assert lab.told("SYS_STATUS")[4] < voltage_mv
-    vehicle.firmware.drain_pct_s = 10.0  # of a test with a tiny battery: more than the field holds
+    vehicle.firmware.drain_pct_s = 10.0  # a tiny battery: the current exceeds the range of the field
     assert lab.told("SYS_STATUS")[5] == lab.told("BATTERY_STATUS")[13] == 32767
 
 
@@ -844,10 +844,10 @@ def test_loss_of_the_ground_station_lands_if_that_is_wanted(lab, switched_on):
     autopilot.armed = True
     lab.run(4.9)
     assert autopilot.mode == STABILIZE
-    lab.connect(system=OTHER_STATION)  # not the one
+    lab.connect(system=OTHER_STATION)  # not the configured station
     texts = [message for message in lab.run(0.3) if message.name == "STATUSTEXT"]
     assert (autopilot.mode == LAND) == switched_on == bool(texts)
-    autopilot.mode = STABILIZE  # the pilot takes over: it is not fought for
+    autopilot.mode = STABILIZE  # the pilot takes over: the failsafe does not act again
     lab.run(10.0)
     assert autopilot.mode == STABILIZE
     lab.connect()

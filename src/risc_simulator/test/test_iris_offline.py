@@ -1,4 +1,4 @@
-"""From sticks to an IRIS+ without sockets: as the board, its signal and the radio take them."""
+"""From sticks to an IRIS+ without sockets: board, PPM signal and radio as in the virtual lab."""
 
 import math
 import pathlib
@@ -23,7 +23,7 @@ from risc_simulator.vehicles.iris.offline import (
 )
 
 CYCLE_S = 0.005
-Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node has them
+Sticks = namedtuple("Sticks", "forward left up turn_left")  # as in a vehicle node
 
 
 def test_its_board_is_the_one_that_is_shipped():
@@ -140,7 +140,7 @@ def test_the_charge_that_it_tells_is_whole_percents_of_the_true_one():
 
 
 def test_what_it_reports_of_itself():
-    """It flies with the error of the level that it believes; its height drifts; a seed repeats all that."""
+    """It flies with its level error while reporting level; its height drifts; the same seed repeats all this."""
     flights = [Flight(perturbed=True, seed=3) for _ in range(2)]
     flight, reports = flights[0], []
     for _ in range(100):

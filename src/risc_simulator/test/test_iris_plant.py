@@ -1,4 +1,4 @@
-"""The virtual IRIS+ as a plant: thrust of its throttle, rotors, attitude loops, what a seed repeats."""
+"""The virtual IRIS+ as a plant: throttle to thrust, rotors, attitude loops, reproducibility by seed."""
 
 import math
 import pathlib
@@ -34,7 +34,7 @@ def test_the_throttle_of_eq_5_5_hovers_at_each_charge(battery_pct):
     assert hands.autopilot.hover_throttle(battery_pct) == pytest.approx(HOVERS[battery_pct], abs=1e-3)
     throttle_us = CENTRE_US + round(500.0 * HOVERS[battery_pct])
     hands.send(2.0, throttle=throttle_us)
-    rounding_m_s2 = GRAVITY_M_S2 * 1.5 / 500.0  # of a microsecond, and of the curve's third digit
+    rounding_m_s2 = GRAVITY_M_S2 * 1.5 / 500.0  # 1 us of throttle, and the third digit of the curve
     assert abs(hands.vehicle.state.velocity_m_s[2]) < 2.0 * rounding_m_s2
     hands.send(0.5, throttle=throttle_us + 25)
     gained_m_s = hands.vehicle.state.velocity_m_s[2]
@@ -54,7 +54,7 @@ def test_an_emptying_battery_sinks_a_vehicle_whose_throttle_stays():
 
 
 def test_a_battery_that_gives_way_takes_the_lift_by_and_by():
-    """Of another battery with the same charge the vehicle would fall at 2 m/s within 0.6 s."""
+    """With another battery of that charge, swapped in at once, the vehicle would fall at 2 m/s within 0.6 s."""
     fallen_m_s = {}
     for how in "set_battery_pct", "weaken_battery":
         world, hands = flying(changes={"battery_life_s": 1e9})
@@ -135,7 +135,7 @@ def test_a_throttle_at_its_end_lets_the_rotors_idle_and_the_vehicle_fall():
 
 
 def wander(seed, n=3):
-    """Truth and texts of a flight in gusts with what an autopilot can do, of several vehicles."""
+    """Truth and autopilot texts of several vehicles that fly in gusts through several modes."""
     world = make_world(n, perturbed=True, seed=seed, gusts=True)
     everyone = [Hands(world, namespace) for namespace in world.vehicles]
     places_m = [hands.vehicle.state.position_m for hands in everyone]
@@ -172,7 +172,7 @@ def test_who_else_flies_does_not_matter():
 
 
 def test_it_flies_among_ardrones_and_leaves_them_alone():
-    """One of each; the AR.Drone is where it is without the other."""
+    """One of each: the AR.Drone flies exactly as beside another AR.Drone."""
 
     def fly(kinds):
         content = make_fleet(2).to_dict()
@@ -189,7 +189,7 @@ def test_it_flies_among_ardrones_and_leaves_them_alone():
 
 
 def test_it_can_carry_a_body(monkeypatch):
-    """Its own equations and those of a body are compiled together: what runs on board reaches its record."""
+    """Its equations and those of the body are compiled together; on-board logic still reaches its parameter record."""
     monkeypatch.setenv(VARIABLE, str(pathlib.Path(__file__).parent / "members"))
     offsets = {"top": [0.0, 0.0, 0.02], "side": [0.02, 0.0, 0.0]}
     templates = {"geometries": {"ball": offsets}, "templates": {"ball": {"kind": "attached", "geometry": "ball"}}}

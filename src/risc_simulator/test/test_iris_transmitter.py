@@ -26,14 +26,14 @@ def edges_of(channels_us, begin_us=0, pulse_us=PULSE_US, pulse_level=0):
 
 
 class Signal:
-    """Frames one after the other, as a receiver gets them: in pieces, as the time comes."""
+    """Sends consecutive frames to a receiver, in pieces of 5 ms."""
 
     def __init__(self, **options):
         self.receiver, self._begin_us = PpmReceiver(**options), 0
         self.options = {"pulse_level": options.get("pulse_level", 0)}
 
     def send(self, channels_us=GOOD, change=None, **how):
-        """The channels that the receiver makes of a frame; None: it refuses it. change: of its edges."""
+        """Send a frame; return the channels that the receiver decodes, or None if refused. change: alters the edges."""
         edges = edges_of(channels_us, self._begin_us, **{**self.options, **how})
         if change is not None:
             edges = change(edges)
@@ -110,7 +110,7 @@ def test_a_malformed_frame_is_refused_and_the_next_one_is_not(what):
     assert signal.receiver.channels_us == GOOD, "what was is held"
     refused = signal.receiver.counts - before
     assert "frames" not in refused and bool(refused) == (what != "nothing")
-    after = [signal.send(), signal.send()]  # a line that stays low has spoilt the first edge of the next frame, too
+    after = [signal.send(), signal.send()]  # a line that stays low also hides the first edge of the next frame
     assert after == [None if what == "half of the last pulse" else GOOD, GOOD]
 
 
@@ -129,7 +129,7 @@ def test_loss_is_reported_after_half_a_second_and_ends_with_a_good_frame():
     for _ in range(30):
         signal.send(channels_us=GOOD[:3])
         lost.append(signal.is_lost)
-    assert lost.index(True) in (23, 24)  # the frame before had begun 0.02 s before it ended
+    assert lost.index(True) in (23, 24)  # the last good frame had begun 0.02 s before it ended
     signal.send()
     assert not signal.is_lost
 
@@ -151,7 +151,7 @@ def test_whatever_edges_come_only_frames_within_the_limits_come_out(steps, piece
 
 
 def test_bits_of_noise_in_a_signal_let_no_wrong_frame_through():
-    """Spikes and lost edges at random: what comes out was sent."""
+    """Random spikes and lost edges: every frame that is decoded was sent."""
     rng, signal = random.Random(3), synchronised()
     sent, received = set(), []
 
@@ -180,7 +180,7 @@ class Desk:
         self.board, self.receiver, self.now_s, self.frames, self.bytes = Board(), PpmReceiver(), 0.0, [], b""
 
     def run(self, duration_s, message=None, every_s=0.022):
-        """Let time pass in the lab's cycles; message: sent every so often."""
+        """Let time pass in the lab's cycles; message: sent every every_s."""
         end_s, next_s = self.now_s + duration_s, self.now_s
         while self.now_s < end_s - 1e-9:
             if message is not None and next_s <= self.now_s:

@@ -1,4 +1,4 @@
-"""Members from elsewhere: each is one file and one YAML in the folder `members`."""
+"""Members from outside the package: each is one file and one YAML in the folder `members`."""
 
 import dataclasses
 import pathlib
@@ -31,7 +31,7 @@ BALLOON = {"namespace": "risc2", "template": "Raven", "type": BALLOON_TYPE, "sta
 
 @pytest.fixture(autouse=True)
 def members(monkeypatch):
-    """The folder takes part."""
+    """Put the folder on the member path."""
     monkeypatch.setenv(VARIABLE, str(MEMBERS))
     yield
     vehicles.virtual_type.cache_clear()
@@ -67,7 +67,7 @@ def make_world(*vehicles, drag_n_s_m=None, **options):
 
 
 def fly(world):
-    """Truth of a flight with everything that a mixed fleet does; the balloon rises after a second."""
+    """Truth of a flight of a mixed fleet through all phases; the balloon rises after 1 s."""
     ardrone = world.vehicles["risc1"]
     ardrone.schedule(0.1, FlightAction.TAKE_OFF)
     for k in range(60):
@@ -130,7 +130,7 @@ def test_the_lab_speaks_its_wire(clock):
 
 
 def test_a_vehicle_type_has_its_own_camera():
-    """Another place, view and size than those of an AR.Drone; a disc behind the balloon is in the middle of it."""
+    """Its mount, field of view and size differ from an AR.Drone's; a disc behind the balloon is in the image centre."""
     fleet = dataclasses.replace(
         make_fleet(BALLOON), landmarks=(FleetLandmark("Green_pink", (-2.4, -1.0, 0.08), facing_deg=0.0),)
     )
@@ -228,7 +228,7 @@ def test_a_body_hangs_still_while_the_vehicle_stands_and_swings_in_flight():
     world.step_to(6.0)
     assert vehicle.height_m - vehicle.body_state[2] == pytest.approx(HANGS_M, abs=0.02)
     felt_n = -vehicle.plant.mass_kg * vehicle.state.specific_force_m_s2[2]
-    assert felt_n == pytest.approx(vehicle.plant.mass_kg * GRAVITY_M_S2, rel=0.02)  # thrust less the weight of the ball
+    assert felt_n == pytest.approx(vehicle.plant.mass_kg * GRAVITY_M_S2, rel=0.02)  # thrust minus the ball's weight
     world.step_to(6.5)
     assert vehicle.body_state[0] < vehicle.state.position_m[0] - 0.01, "it lags behind"
     vehicle.schedule(7.0, FlightAction.LAND)

@@ -45,7 +45,7 @@ def test_input_is_not_changed():
 
 
 def test_the_same_numbers_as_ever():
-    """Bit for bit: noise, occlusions and ghosts of a seed."""
+    """Noise, occlusions and ghosts of a seed match the golden file bit for bit."""
     golden = np.load(GOLDEN / "mocap_cameras.npz")
     params = CameraParams(occlusions_per_marker_hz=2.0, ghosts_hz=20.0)
     seen = run(MocapCameras(params, seed=5), 150)

@@ -1,4 +1,4 @@
-"""The perturbed plant: how far vehicles are from their nominal type, and that draws belong to one vehicle only."""
+"""The perturbed plant: deviations from the nominal type, and that each draw affects one vehicle only."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ def draws(count=4000):
 
 
 def numbers(plant):
-    """{name: value} of what is drawn; of the attitude loops as "roll.gain"."""
+    """{name: value} of the drawn parameters; those of the attitude loops are named like "roll.gain"."""
     found = {}
     for name, value in vars(plant).items():
         of_loop = isinstance(value, AttitudeLoop)

@@ -59,7 +59,7 @@ def test_random_polygons_have_their_area_and_centroid():
     for _ in range(50):
         angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, rng.integers(3, 40)))
         if np.diff(np.append(angles, angles[0] + 2.0 * np.pi)).max() > 3.0:
-            continue  # the middle would be outside, and edges cross
+            continue  # the centre would lie outside, and edges would cross
         radius = rng.uniform(3.0, 45.0)
         points = np.stack((np.cos(angles), np.sin(angles)), axis=1) * rng.uniform(0.5, 1.0, (len(angles), 1)) * radius
         points += rng.uniform((10.0, 60.0), (30.0, 80.0))
@@ -67,7 +67,7 @@ def test_random_polygons_have_their_area_and_centroid():
         assert mask.sum() == pytest.approx(shoelace(points), abs=1e-3)
         rows, columns = np.mgrid[box[1] : box[3], box[0] : box[2]]
         middle = np.array([(columns * mask).sum(), (rows * mask).sum()]) / mask.sum()
-        assert np.allclose(middle, centroid(points), atol=0.02)  # what a pixel holds counts as at its middle
+        assert np.allclose(middle, centroid(points), atol=0.02)  # a pixel's share counts as if at its centre
 
 
 def test_what_is_beyond_the_box_changes_nothing_in_it():

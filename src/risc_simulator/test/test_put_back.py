@@ -1,4 +1,4 @@
-"""Vehicles are picked up and put back, as a person does it between two flights."""
+"""Vehicles are put back at their starts, as a person does between two flights."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def run(lab, duration_s):
 
 
 def fall(lab, vehicle, position_m):
-    """Let it fall to the floor."""
+    """Cut the vehicle's motors at a position and let it fall to the floor."""
     vehicle.fly_at(position_m, 1.0)
     vehicle.schedule(lab.world.time_s, FlightAction.CUT_MOTORS)
     run(lab, 1.5)
@@ -36,14 +36,14 @@ def test_one_that_fell_stands_where_it_started_as_it_was_with_a_full_battery(lab
     run(lab, 0.1)
     fall(lab, vehicle, (1.0, 0.8, 1.0))
     assert vehicle.plant.mass_kg > 1.1 * plant.mass_kg and vehicle.battery_pct <= 20.0
-    vehicle.schedule(lab.world.time_s + 0.1, FlightAction.CUT_MOTORS)  # on its way
+    vehicle.schedule(lab.world.time_s + 0.1, FlightAction.CUT_MOTORS)  # still pending
     lab.put_back("risc1")
     run(lab, 0.3)
     assert (vehicle.phase, vehicle.plant) == (FlightPhase.LANDED, plant)
     np.testing.assert_array_equal(vehicle.state.position_m, start.position_m)
     assert (vehicle.state.psi, vehicle.state.motor_pwm) == (start.psi, (0, 0, 0, 0))
     assert vehicle.battery_pct > 99.0 and vehicle.firmware.flow.scale > 0.5
-    # what acted on it is over, for good; what acts on another one is not
+    # faults on it have ended permanently; those on the other vehicle go on
     assert [record.event.vehicle for record in lab.injector.active] == ["risc2"]
     assert all(record.ends_s < lab.now_s() for record in lab.injector.history[:4])
     run(lab, 1.0)

@@ -48,7 +48,7 @@ def stack_plants(plants):
 
 
 def advance(x, u, bodies, step_s):
-    """One step of all of them, in the air and with all the room of the world."""
+    """Advance all vehicles by one step, in the air, without floor or net."""
     n, nowhere = x.shape[1], (1e9, 1e9, 2e9)
     flags, columns = np.ones((2, n), dtype=bool), np.arange(n, dtype=np.uintp)
     integrator().advance(x, u, flags, columns, bodies, step_s, nowhere)
@@ -67,7 +67,7 @@ def evaluate(x, u, bodies):
 
 
 def fly(plant, x, u, duration_s, step_s=0.005):
-    """State after duration_s from x (12,), inputs u held; and the history (steps + 1, 12)."""
+    """Fly from x (12,) with constant inputs u. Returns the final state and the history (steps + 1, 12)."""
     bodies = stack_plants([plant])
     state = np.array(x, dtype=float)[:, None]
     history = [state[:, 0].copy()]

@@ -59,7 +59,7 @@ NOISE = noise_tile(0)  # shared: making one takes longer than a picture
 
 
 def in_room(room, **things):
-    """Scene with other settings of the room."""
+    """Scene in another room."""
     return Scene(replace(STYLE, room=room), **things)
 
 
@@ -98,14 +98,14 @@ def disc_at(camera, camera_pose, pixel, distance_m, obliqueness=0.0, leaning=0.0
 
 
 def moments(picture):
-    """Area [px] and centroid (2,) of what is white, in one channel."""
+    """Area [px] and centroid (2,) of the white pixels, from one channel."""
     share = picture[:, :, 1] / WHITE[1]
     y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
     return share.sum(), np.array([(share * x).sum(), (share * y).sum()]) / share.sum()
 
 
 def outline_px(camera, camera_pose, disc, diameter_m):
-    """Very many corners of the disc's image."""
+    """Outline of the disc's image as 2000 points (n, 2) [px]."""
     across, upward = plane_axes(disc.normal)
     angle = np.linspace(0.0, 2.0 * np.pi, 2001)[:-1, None]
     points = np.asarray(disc.centre_m) + 0.5 * diameter_m * (np.cos(angle) * across + np.sin(angle) * upward)
@@ -113,7 +113,7 @@ def outline_px(camera, camera_pose, disc, diameter_m):
 
 
 def area_and_centroid(points):
-    """Of a polygon (n, 2)."""
+    """Area and centroid of a polygon (n, 2)."""
     middle = points.mean(axis=0)
     x, y = (points - middle).T
     x1, y1 = np.roll(x, -1), np.roll(y, -1)
@@ -155,7 +155,7 @@ def test_discs_have_their_place_and_their_size(name, pixel, distance_m, obliquen
     (truth,) = drawn.truth(camera_pose)
     assert np.linalg.norm(np.array(truth.centre_px) - pixel) < 1e-6
     outline = outline_px(camera, camera_pose, disc, 0.30)
-    # the corners of the outline that is drawn are few: its box may miss the extremes by a little
+    # the drawn outline has few corners: its box may miss the extremes slightly
     box = np.concatenate((outline.min(axis=0), outline.max(axis=0)))
     assert np.abs(truth.box_px - box).max() < 0.002 * np.ptp(outline, axis=0).max()
     inner = outline_px(camera, camera_pose, disc, 0.20)
@@ -164,7 +164,7 @@ def test_discs_have_their_place_and_their_size(name, pixel, distance_m, obliquen
 
 
 def test_frontal_discs_of_all_sizes_are_centred_on_their_truth(inputs):
-    """Down to discs of 5 px; at any place between the pixels."""
+    """Down to discs of 5 px, at any subpixel position."""
     rng = np.random.default_rng(0)
     for distance_m in (1.0, 4.0, 15.0, 35.0):
         for _ in range(inputs(4, 8)):
@@ -172,14 +172,14 @@ def test_frontal_discs_of_all_sizes_are_centred_on_their_truth(inputs):
             room = replace(DARK_ROOM, half_x_m=40.0, half_y_m=40.0, height_m=40.0)
             disc = disc_at(PINHOLE, pose(), pixel, distance_m)
             area, centroid = moments(renderer(scene=in_room(room, discs=(disc,))).render(pose()))
-            # off the axis a disc across the line of sight has its centre beside the middle of its image
+            # off the optical axis the centre of a frontal disc is not the centroid of its image
             expected = area_and_centroid(outline_px(PINHOLE, pose(), disc, 0.30))
             assert np.linalg.norm(centroid - expected[1]) < 0.03
             assert area == pytest.approx(expected[0], rel=0.01)
 
 
 def test_right_left_up_down():
-    """Seen along +x: +y is left, +z is up. Seen from the other side all is the other way round."""
+    """Looking along +x: +y is left, +z is up. Looking along -x, +y is right."""
     style = load_style()
     scene = replace(DARK, discs=(style.disc("Green_pink", (3.0, 0.5, 1.8), (-1.0, 0.0, 0.0)),))
     (truth,) = renderer(scene=scene).truth(pose())
@@ -342,7 +342,7 @@ def test_motion_blur_is_the_mean_over_the_exposure():
     assert np.abs(np.diff(profile[left]) - 1.0 / motion_px).max() < 0.05  # a straight ramp
     column = blurred[:, 320, 1] / WHITE[1]
     assert ((column > 0.02) & (column < 0.98)).sum() <= 2  # and none across the motion
-    # against the plain mean of many pictures, taken one after the other
+    # compare with the mean of many sharp pictures over the exposure
     times = (np.arange(20) + 0.5) / 20 * exposure_s - 0.5 * exposure_s
     mean = np.mean([renderer(scene=scene).render(pose(yaw=turn * t)).astype(float) for t in times], axis=0)
     assert np.abs(mean - blurred).max() < 0.06 * WHITE[0]
@@ -449,7 +449,7 @@ def test_noise_has_the_given_deviation_and_no_mean():
     # 2.8 million values: the error of mean and deviation is 0.002; rounding adds 1/12 of variance
     assert pictures.mean() == pytest.approx(100.0, abs=0.05)
     assert pictures.std() == pytest.approx(math.sqrt(4.0 + 0.09 * 100.0 + 1.0 / 12.0), rel=0.01)
-    assert np.abs(pictures[0] - pictures[1]).mean() > 2.0  # another grain in each
+    assert np.abs(pictures[0] - pictures[1]).mean() > 2.0  # the noise differs between pictures
 
 
 def test_same_seed_same_pictures():

@@ -1,4 +1,4 @@
-"""The scene file, and the shapes that it makes."""
+"""The scene file, and the shapes made from it."""
 
 import copy
 import math
@@ -110,7 +110,7 @@ def test_facing_is_clockwise_from_above_as_yaw():
 
 
 def test_plane_axes_are_right_and_up_for_somebody_in_front():
-    across, upward = plane_axes((-1.0, 0.0, 0.0))  # seen by somebody who looks along +x: right is -y
+    across, upward = plane_axes((-1.0, 0.0, 0.0))  # for a viewer looking along +x: right is -y
     assert np.allclose(across, (0.0, -1.0, 0.0)) and np.allclose(upward, (0.0, 0.0, 1.0))
     across, upward = plane_axes((0.0, 0.0, 1.0))  # a disc on the floor
     assert np.allclose(np.cross(across, upward), (0.0, 0.0, 1.0))
@@ -127,7 +127,7 @@ def test_disc_outline_lies_in_its_plane_and_has_the_area_of_the_circle():
 
 
 def test_board_axes_are_opencvs():
-    # the board stands upright before somebody who looks along +x: its x is -y, its y down, its z +x
+    # an upright board, for a viewer looking along +x: its x is -y, its y is down, its z is +x
     R = np.array([(0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
     corners = Board(3, 2, 0.1, (5.0, 0.0, 1.0), R).to_cortex([(-1.0, -0.5), (0.0, -0.5), (-1.0, 0.5)])
     assert np.allclose(corners, [(5.0, 0.1, 1.05), (5.0, 0.0, 1.05), (5.0, 0.1, 0.95)])
@@ -141,7 +141,7 @@ def test_board_squares_meet_at_the_corners():
     points = np.concatenate(black.outlines)
     column, row = np.meshgrid(np.arange(8) - 3.5, np.arange(6) - 2.5)
     corners = np.stack((column.ravel(), row.ravel()), axis=1)
-    for corner in board.to_cortex(corners):  # each inner corner is one of two black squares
+    for corner in board.to_cortex(corners):  # each inner corner is shared by two black squares
         assert (np.linalg.norm(points - corner, axis=1) < 1e-9).sum() == 2
 
 

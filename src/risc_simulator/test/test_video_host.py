@@ -31,7 +31,7 @@ GREEN_HUE, GREEN_TOLERANCE = 66, 8
 
 @pytest.fixture
 def make_lab():
-    """Makes a lab with two vehicles on the floor, one of which looks at a disc; in a thread of its own."""
+    """Makes a lab, in its own thread, with two vehicles on the floor, one of them facing a disc."""
     running = []
     stop = threading.Event()
 
@@ -57,7 +57,7 @@ def lab(make_lab):
 
 @pytest.fixture(scope="module")
 def shared_lab():
-    """A lab for what leaves it as it was. Tests of it come last: those before count the camera processes."""
+    """A lab for tests that do not change it. They come last, because the earlier ones count the camera processes."""
     lab, stop = VirtualLab(make_fleet(), seed=4), threading.Event()
     thread = threading.Thread(target=lab.run, args=(stop,))
     thread.start()
@@ -130,7 +130,7 @@ def children():
 
 
 def green_centre(picture):
-    """Centre (2,) [px] of what is green."""
+    """Centre (2,) [px] of the largest green area."""
     hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
     mask = (abs(hsv[..., 0].astype(int) - GREEN_HUE) < GREEN_TOLERANCE) & (hsv[..., 1] > 90) & (hsv[..., 2] > 60)
     count, _, sizes, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
@@ -139,7 +139,7 @@ def green_centre(picture):
 
 
 def video_statistics(lab, name, pictures):
-    """Counters of a vehicle's video as soon as they hold so many pictures: they are counted after they were sent."""
+    """Video counters of a vehicle, once they show `pictures` pictures: these are counted after they are sent."""
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
         counters = lab.statistics()["vehicles"][name]["video"]
@@ -156,12 +156,12 @@ def test_pictures_keep_their_rhythm_and_their_clock(lab, client):
     assert numbers == list(range(numbers[0], numbers[0] + 40))
     times = np.array([header.timestamp_ms for header in headers]) * (30.0 / 1000.0)  # in periods
     assert (np.diff(times) > 0.0).all()
-    # what a slow computer leaves out is counted, and the rhythm goes on; exposures are on the lab's 5 ms grid
+    # pictures that a slow computer skips are counted, and the schedule is kept; exposures are on the lab's 5 ms grid
     skipped = video_statistics(lab, "risc1", 40)["skipped"]
-    behind = 0.5 + lab.statistics()["late_ms"]["max"] * (30.0 / 1000.0)  # of the world after the clock
+    behind = 0.5 + lab.statistics()["late_ms"]["max"] * (30.0 / 1000.0)  # lag of the world behind the clock
     assert 39 - behind < times[-1] - times[0] < 39 + skipped + 1 + behind
     if skipped == 0:
-        late = times - np.arange(40.0)  # the most punctual of twenty are on time
+        late = times - np.arange(40.0)  # the earliest of twenty is on time
         assert late[20:].min() - late[:20].min() == pytest.approx(0.0, abs=0.3)
         assert np.median(np.diff(times)) == pytest.approx(1.0, abs=0.18)
     assert any(header.frame_type == FrameType.P for header in headers)
@@ -184,7 +184,7 @@ def test_switching_the_camera_changes_stream_and_picture(lab, client):
 
 
 def test_a_link_that_is_lost_for_long_loses_pictures_and_goes_on_with_a_keyframe(lab, client, monkeypatch):
-    monkeypatch.setattr(wires, "MAX_HELD_BYTES", 100)  # those of a floor without anything on it are small
+    monkeypatch.setattr(wires, "MAX_HELD_BYTES", 100)  # pictures of an empty floor are small
     client.picture()
     number = client.packet().header.frame_number
     lab.inject(parse_fault("link_blackhole:1.5,risc1"))
@@ -200,12 +200,12 @@ def test_a_link_that_is_lost_for_long_loses_pictures_and_goes_on_with_a_keyframe
 
 
 def test_faults_on_the_wire_act_on_the_stream(lab, client):
-    """Given while the camera process runs: pictures come later, all and in order; then the connection is cut."""
+    """Injected while the camera process runs: pictures come later, all and in order; then the connection is cut."""
 
     client.packet()
     lab.inject(FaultEvent("delay", severity=1.0, channel="risc1/video"))
     begins_s, headers = lab.now_s(), []
-    while not headers or 1e-3 * headers[-1].timestamp_ms < begins_s:  # those of before are on their way
+    while not headers or 1e-3 * headers[-1].timestamp_ms < begins_s:  # earlier pictures are in transit
         headers.append(client.packet().header)
     assert lab.now_s() - 1e-3 * headers[-1].timestamp_ms >= 1.0
     numbers = [header.frame_number for header in headers]
@@ -242,7 +242,7 @@ def test_nothing_runs_before_somebody_watches_and_nothing_is_left_behind(lab):
 
 
 def test_cameras_that_start_with_the_lab_are_ready_before_anybody_watches(make_lab):
-    """Whoever comes then waits for one picture and not for a program to start; until then nothing is made."""
+    """A client then waits for one picture, not for a process to start; no picture is made before a client connects."""
     lab = make_lab(cameras_ahead=True)
     deadline_s = time.monotonic() + PATIENCE_S
     while not lab.cameras_ready:

@@ -28,7 +28,7 @@ def test_encoded_pictures_decode_one_by_one(size_px):
 
 
 def test_coding_moves_no_colour():
-    """A disc that differs from its ground by colour more than by brightness stays where it is."""
+    """A disc that differs from its background more in colour than in brightness does not move."""
     ground, paint = np.array([140.0, 150.0, 150.0]), np.array([110.0, 140.0, 215.0])
     cover = np.zeros((360 * 4, 640 * 4), np.uint8)
     cv2.circle(cover, (320 * 4, 180 * 4), 40 * 4, 255, -1)
@@ -48,7 +48,7 @@ def test_coding_moves_no_colour():
 
 
 def test_camera_pose_is_that_of_the_mount_and_moves_with_the_vehicle():
-    """Position and axes against their derivatives: the pose a moment later is where velocity and rate say."""
+    """The pose a moment later agrees with the velocity and the rotation rate."""
     mount = CameraMount(position_m=(0.2, -0.03, 0.05), roll_rad=0.1, pitch_rad=0.3, yaw_rad=-0.2)
     row = np.array([0.5, -1.0, 1.2, 0.4, -0.3, 0.2, 0.1, -0.2, 1.9, 0.5, -0.4, 0.8])
     dt = 1e-5

@@ -44,7 +44,7 @@ def fleet_of(count, calibration=""):
 
 
 class GreyEye:
-    """Takes the same small picture of whatever it is asked to look at."""
+    """Returns the same small picture for every request."""
 
     @staticmethod
     def look(*_):
@@ -52,7 +52,7 @@ class GreyEye:
 
 
 class Bench:
-    """A VideoServer whose camera process is played by the test, and whose time the test turns."""
+    """A VideoServer in simulated time, whose camera process is played by the test."""
 
     def __init__(self, count=1):
         self.world = SimpleNamespace(time_s=0.0, truth=lambda: np.zeros((count, 12)), vehicles={})
@@ -73,7 +73,7 @@ class Bench:
         self.clients = []
 
     def connect(self, index=0):
-        """Function that gives the next so many PaVE headers that a new client receives."""
+        """Connect a new client; return a function headers(count) that receives its next PaVE headers."""
         client = socket.create_connection(self.listeners[index].getsockname(), PATIENCE_S)
         self.clients.append(client)
         assert select.select([self.listeners[index]], (), (), PATIENCE_S)[0]
@@ -89,19 +89,19 @@ class Bench:
         return headers
 
     def tick(self, now_s):
-        """The lab's cycle at this time, which shows the world as it is then. Returns how many orders it gave."""
+        """Run the lab's cycle with the world at this time. Returns the number of orders it gave."""
         self.world.time_s = now_s
         before = len(self.orders)
         self.server.tick(now_s)
         return len(self.orders) - before
 
     def draw(self, now_s):
-        """The camera process is through with the newest order."""
+        """Let the camera process finish the newest order."""
         self.process.sendall(self._cameras[self.orders[-1].index].take(self.orders[-1], ()))
         while self.server._taking is not None:
             self.server.on_readable(self.server._link, now_s)
             if self.server._taking is not None and not self.server._received:
-                return  # it has the next order
+                return  # the next order was sent
 
     def close(self):
         self.server.close()
@@ -123,7 +123,7 @@ def make_bench():
 
 
 def watched(make_bench):
-    """A Bench whose only camera has a client, and its station; its first picture was ordered at 100 s."""
+    """(Bench whose only camera has a client, its station); the first picture was ordered at 100 s."""
     bench = make_bench()
     (station,) = bench.stations
     bench.connect()
@@ -168,7 +168,7 @@ def test_cameras_take_turns_and_what_is_due_waits_for_none_that_draws(make_bench
     for index in range(3):
         bench.connect(index)
     assert bench.tick(1.0) == 1
-    bench.draw(1.004)  # at once the next, of the newest that the world shows
+    bench.draw(1.004)  # the next is ordered at once, of the newest world state
     bench.draw(1.01)
     assert [order.index for order in bench.orders] == [0, 1, 2]
     assert bench.tick(1.0 + LATENCY_S) == 0, "the third is still being drawn"
@@ -187,7 +187,7 @@ def test_a_camera_that_is_off_misses_nothing(make_bench):
 
 
 def test_no_two_pictures_of_one_time(make_bench):
-    """A lab that stands still for a moment must not look like an aircraft whose clock has been set back."""
+    """A stalled lab must not look like an aircraft whose clock has been set back."""
     bench = make_bench()
     bench.connect()
     assert bench.tick(1.0) == 1
@@ -236,7 +236,7 @@ def host():
 
 
 def send(host, *commands):
-    """AT commands of which each is "NAME,arguments", in one datagram."""
+    """Send AT commands, each "NAME,arguments", in one datagram."""
     send.sequence += len(commands)
     first = send.sequence - len(commands) + 1
     texts = ["AT*%s=%d,%s\r" % (c.split(",", 1)[0], first + k, c.split(",", 1)[1]) for k, c in enumerate(commands)]
@@ -275,7 +275,7 @@ def test_another_session_brings_its_own_values(host):
 
 @pytest.mark.parametrize("cameras_ahead", [True, False])
 def test_a_file_that_cannot_be_used_is_told_once(caplog, cameras_ahead):
-    """With cameras that start with the lab: before anybody watches, not when the first client looks in vain."""
+    """With cameras_ahead it is reported at the start, not when the first client connects."""
     with caplog.at_level(logging.ERROR):
         lab = VirtualLab(fleet_of(1, calibration="/nowhere/camera.yaml"), cameras_ahead=cameras_ahead)
         try:

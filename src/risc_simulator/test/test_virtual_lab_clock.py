@@ -1,4 +1,4 @@
-"""The lab's schedule with a clock that the test turns: long stalls under traffic, slow frame rates, wrong options."""
+"""The lab's schedule in simulated time: long stalls under traffic, slow frame rates, wrong options."""
 
 import socket
 
@@ -44,7 +44,7 @@ class Pilot:
 
 @pytest.mark.parametrize("stall_s", [0.5, 3.0])
 def test_commands_that_waited_through_a_stall_do_not_lie_in_the_future(clock, stall_s):
-    """The lab once served them with the time before its clock was set back: later commands then waited behind them."""
+    """The lab once stamped them with the time before its clock was set back, so later commands waited behind them."""
     fleet = make_fleet()
     lab, pilot = VirtualLab(fleet), Pilot(fleet)
     try:
@@ -74,7 +74,7 @@ def test_commands_that_waited_through_a_stall_do_not_lie_in_the_future(clock, st
 
 
 def test_a_short_stall_is_made_up_for_frame_by_frame(clock):
-    """100 ms: the frames that are late follow at once, each of its own time, and the next one is on time again."""
+    """100 ms: late frames follow at once, each with its own time, until the schedule is met again."""
     fleet = make_fleet()
     lab, pilot = VirtualLab(fleet, live=True), Pilot(fleet)
     host, exposed_s, told_s, late_s = lab.vehicle_hosts["risc1"], [], [], []
@@ -101,7 +101,7 @@ def test_a_short_stall_is_made_up_for_frame_by_frame(clock):
 
 
 class Load:
-    """Makes every cycle of a lab take its time, or more, of the test's clock."""
+    """Makes every cycle of a lab take cycle_s, or more, of simulated time."""
 
     def __init__(self, lab, clock, monkeypatch):
         self.cycle_s = 0.0
@@ -113,7 +113,7 @@ class Load:
 
 @pytest.mark.parametrize("rate_hz", [50.0, 200.0])
 def test_a_lab_that_is_too_slow_leaves_frames_out_and_stays_near_real_time(clock, monkeypatch, rate_hz):
-    """20 s of a load under which the lab can do two cycles of three: it was a second late as long as that lasted."""
+    """20 s of a load that allows two of three cycles; the lab used to be 1 s late throughout."""
     fleet = make_fleet(rate_hz)
     lab, pilot = VirtualLab(fleet, live=True), Pilot(fleet)
     load = Load(lab, clock, monkeypatch)

@@ -9,7 +9,7 @@ rospy = pytest.importorskip("rospy", reason="needs ROS")
 
 @pytest.fixture
 def load_options(monkeypatch):
-    """load_options(given): what the node makes of these private parameters."""
+    """load_options(**given): the LabOptions that the node reads from these private parameters."""
     from risc_simulator.ros import node
 
     def load(**given):
@@ -28,7 +28,7 @@ def test_texts_and_numbers_arrive_over_the_defaults(load_options):
 
 @pytest.mark.parametrize("value", [127.8, 127])
 def test_a_number_for_a_subnet_is_refused_with_the_cure(load_options, value):
-    """roscore keeps 127.8 of a command line's 127.80, another network: guessing would be wrong silently."""
+    """roscore turns 127.80 on a command line into 127.8, another network; a guess could be silently wrong."""
     with pytest.raises(ValueError, match="~subnet .*text, found .*_subnet:="):
         load_options(subnet=value)
 

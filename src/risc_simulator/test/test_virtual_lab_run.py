@@ -1,4 +1,4 @@
-"""The whole lab in real time on loopback addresses, seen by clients that know nothing but the wire formats."""
+"""The whole lab in real time on loopback addresses, seen by clients that know only the wire formats."""
 
 import json
 import os
@@ -38,7 +38,7 @@ landmarks: [{name: Green_pink, position_m: [2.3, 0.8, 1.0]}]
 
 @pytest.fixture
 def net():
-    """First two bytes of addresses, and a stream port, that no other test run uses."""
+    """{"net": first two bytes of addresses, "port": stream port} that no other test run uses."""
     return {"net": own_net(), "port": free_port()}
 
 
@@ -56,7 +56,7 @@ def make_fleet(net, count=2):
 
 
 def stream_client(port):
-    """A socket that hears the live stream, as a client of the protocol makes it."""
+    """Open a socket that receives the live stream, as a protocol client does."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     sock.bind((GROUP, port))
@@ -98,7 +98,7 @@ def test_stream_reaches_a_raw_client_complete_and_on_time(running, net):
         arrivals = []
         while len(frames) < 400:  # two seconds
             frames.append(first_body(stream.recv(65536)))
-            arrivals.append((running.now_s(), running.frames_skipped))  # the lab's own clock stands while it sleeps
+            arrivals.append((running.now_s(), running.frames_skipped))  # the lab's own clock stops while it sleeps
     numbers = [frame[0] for frame in frames]
     assert numbers == list(range(numbers[0], numbers[0] + 400))
     assert {frame[1] for frame in frames} == {"fluffy_II"}
@@ -110,7 +110,7 @@ def test_stream_reaches_a_raw_client_complete_and_on_time(running, net):
     exact = running.world.markers_m()[:count]
     assert name == "fluffy_II"
     np.testing.assert_allclose(np.nanmean(seen, axis=0), exact, atol=0.0006)
-    # The schedule is kept whatever else this computer does: after stalls, and frames that the lab counts as left out,
+    # The schedule is kept under any load of this computer: after stalls, and frames that the lab counts as skipped,
     # there are frames on time again.
     now_s, skipped = np.array(arrivals).T
     late_s = now_s - (np.arange(400) + skipped) / 200.0
@@ -235,7 +235,7 @@ def test_options_reach_the_lab(net):
         lab.run(duration_s=0.1)
         assert lab.world.vehicles["risc2"].plant.command_delay_s == 0.3
         assert lab.world.vehicles["risc2"].plant.mass_kg == 0.45
-        assert lab.frame == 12 and lab.world.time_s == pytest.approx(0.1)  # frames stand on the physics' grid
+        assert lab.frame == 12 and lab.world.time_s == pytest.approx(0.1)  # frames lie on the physics' time grid
         exact_m = lab.world.markers_m()
         np.testing.assert_array_equal(lab.cameras.observe(1.0, lab.world.layout, exact_m).markers_m, exact_m)
     finally:
@@ -243,7 +243,7 @@ def test_options_reach_the_lab(net):
 
 
 def test_stream_needs_no_card_of_the_client(net):
-    """One fleet file serves both computers: its interface is the client's, and means nothing to the lab."""
+    """One fleet file serves both computers: its `interface` is the client's, and the lab ignores it."""
     fleet = make_fleet(net)
     fleet = replace(fleet, mocap=replace(fleet.mocap, interface="192.0.2.254"))
     for interface in ("", "127.0.0.1"):
@@ -336,7 +336,7 @@ def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
         text = "".join(lines)
         for expected in ("seed 7", net["net"] + ".0.1:1510", "%s:%d" % (GROUP, net["port"]), net["net"] + ".1.2"):
             assert expected in text
-        for _ in range(52):  # the host says that it is there, then come frames
+        for _ in range(52):  # the host's announcement, then frames
             stream.recv(65536)
     program.send_signal(number)
     out, err = program.communicate(timeout=60)
@@ -357,7 +357,7 @@ def test_program_says_who_comes_and_what_is_wrong(tmp_path, net):
         for _ in range(5):
             client.sendto(b"rubbish", (net["net"] + ".1.2", 5556))
         client.sendto(LIVE_MODE, (net["net"] + ".0.1", 1510))
-        client.recv(100)  # with this, what came before is read, too
+        client.recv(100)  # once this is answered, the earlier datagrams were read
         who = "127.0.0.1:%d" % client.getsockname()[1]
         program.send_signal(signal.SIGINT)
         out, err = program.communicate(timeout=60)
@@ -376,7 +376,7 @@ def test_program_streams_to_the_port_of_original_clients(tmp_path, net):
     program = start_program(tmp_path, net, "--live", "--stream-port", "1001", "--duration", "1")
     with stream:
         datagram = b""
-        while struct.unpack_from("<H", datagram.ljust(2))[0] != FRAME_OF_DATA:  # the host says first that it is there
+        while struct.unpack_from("<H", datagram.ljust(2))[0] != FRAME_OF_DATA:  # the announcement comes first
             datagram, sender = stream.recvfrom(65536)
             if sender[0] != net["net"] + ".0.1":
                 datagram = b""  # of another lab

@@ -67,7 +67,7 @@ def test_stands_still_until_told():
 
 
 def test_what_on_board_logic_decides_counts_without_a_new_phase(monkeypatch):
-    """E.g. a type that gives up a command after a time, or whose rotors turn before it is told to take off."""
+    """E.g. a type that drops a command after a time, or whose rotors turn before the take-off order."""
     world = make_world()
     vehicle, woken_s = world.vehicles["risc1"], []
 
@@ -106,7 +106,7 @@ def test_take_off_hover_land():
     assert vehicle.phase is FlightPhase.LANDED
     assert heights[-1] == REST_HEIGHT_M
     assert not world.crashes
-    # the hover creeps by the error of its level and that of its flow, no more
+    # the hover drifts by its level error and its optical-flow error, no more
     level_rad = math.hypot(vehicle.plant.roll_level_rad, vehicle.plant.pitch_level_rad)
     creeps_m_s = level_rad / FLOW_GAIN_RAD_PER_M_S + math.hypot(*vehicle.firmware.flow[1:])
     travelled = np.linalg.norm(vehicle.state.position_m[:2] - STARTS[0])
@@ -170,7 +170,7 @@ def test_hover_brakes_and_keeps_height():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_height_is_held_while_gaz_is_at_rest(seed):
-    """As after a take-off, tilted to and fro with a climb rate of exactly 0: the climb loop alone drifts."""
+    """Tilted to and fro with a climb command of exactly 0, as after a take-off: the climb loop alone would drift."""
     world, vehicle = flying((0, 0, 1.2), seed=seed, perturbed=True)
     for k in range(12):
         vehicle.schedule(4.0 + 0.5 * k, Setpoint(pitch_rad=0.12 * (-1) ** k, yaw_rate_rad_s=0.3))
@@ -348,7 +348,7 @@ def test_vehicles_in_the_air_do_not_pass_through_each_other():
     world.step_to(world.time_s + 3.0)
     assert [v.phase for v in (first, second, third)] == [FlightPhase.EMERGENCY] * 2 + [FlightPhase.HOVERING]
     assert first.state.position_m[2] == second.state.position_m[2] == REST_HEIGHT_M
-    assert len(world.crashes) == 2  # each is told once
+    assert len(world.crashes) == 2  # each is reported once
 
 
 @pytest.mark.parametrize(
@@ -392,7 +392,7 @@ def test_a_falling_vehicle_takes_another_with_it():
 def test_only_vehicles_in_the_air_collide_or_count_for_the_separation():
     world = make_world(2)
     first, second = world.vehicles.values()
-    first.fly_at(STARTS[1] + (0.3,))  # low above the other one, which stands
+    first.fly_at(STARTS[1] + (0.3,))  # just above the other one, which is on the floor
     world.step_to(1.0)
     assert not world.crashes and world.least_separation_m is None
     first.fly_at((0.5, 0.5, 1.0))
@@ -480,11 +480,11 @@ def fly_the_golden_flight():
     rng = np.random.default_rng(8)
     for k, vehicle in enumerate((first, second, third)):
         vehicle.schedule(0.013 + 0.3 * k, FlightAction.TAKE_OFF)
-        for j in range(90 if vehicle is not third else 0):  # the sticks of a radio, off the grid of the world
+        for j in range(90 if vehicle is not third else 0):  # stick commands by radio, off the world's time grid
             vehicle.schedule(4.0 + j / 30.0, Setpoint(*(0.06 * rng.standard_normal(2)), 0.3, 0.4, hover=j % 40 > 34))
     first.schedule(7.2, Setpoint(hover=True))
     first.schedule(9.0, FlightAction.LAND)
-    second.schedule(7.1, Setpoint(roll_rad=-0.3, climb_m_s=1e-12))  # into the net; gaz at rest held no height then
+    second.schedule(7.1, Setpoint(roll_rad=-0.3, climb_m_s=1e-12))  # into the net; zero gaz did not hold height then
     second.schedule(12.0, FlightAction.CLEAR_EMERGENCY)
     second.schedule(12.1, FlightAction.TAKE_OFF)
     third.schedule(7.1, Setpoint(climb_m_s=-0.5))  # along the floor
@@ -509,7 +509,7 @@ def fly_the_golden_flight():
 
 
 def test_the_golden_flight_is_flown_as_ever(monkeypatch):
-    """On plants of which only that was drawn what was drawn when it was made."""
+    """Only the parameters that were drawn when the golden flight was made are perturbed."""
     drawn = "mass", "thrust", "bandwidth", "drag", "delay_s"
     others = {name: 0.0 for name in vars(perturbed_plant.spreads()) if name not in drawn}
     spreads = dataclasses.replace(perturbed_plant.spreads(), **others)

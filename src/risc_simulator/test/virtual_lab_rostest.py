@@ -22,7 +22,7 @@ FRAME_RATE_REQUEST = struct.pack("<HH", 14, 20) + b"GetContextFrameRate\0"
 
 class VirtualLabTest(unittest.TestCase):
     def collect(self, count, timeout_s=20.0):
-        """That many messages of /ground_truth, with the time of receipt of each."""
+        """[(time of receipt, message)] of the next `count` messages on /ground_truth."""
         received, full = [], threading.Event()
 
         def on_message(msg):
@@ -58,7 +58,7 @@ class VirtualLabTest(unittest.TestCase):
         stamps = [msg.header.stamp.to_sec() for _, msg in received]
         gaps = sorted(b - a for a, b in zip(stamps, stamps[1:]))
         self.assertAlmostEqual(gaps[len(gaps) // 2], 0.005, delta=1e-4)
-        # None is missing: that would shift all that follow by 5 ms. Some may be dated late, in a computer's stall.
+        # A missing message would shift all later ones by 5 ms. Some may be stamped late, in a stall of this computer.
         shifts = sorted(stamp - 0.005 * k for k, stamp in enumerate(stamps))
         self.assertLess(shifts[360] - shifts[4], 0.004)
         ages = sorted(time_s - stamp for (time_s, _), stamp in zip(received, stamps))
@@ -102,7 +102,7 @@ class VirtualLabTest(unittest.TestCase):
         self.addCleanup(subscriber.unregister)
         rospy.wait_for_service("/virtual_lab/inject", 20.0)
         inject = rospy.ServiceProxy("/virtual_lab/inject", InjectFault)
-        self.assertTrue(inject().success)  # those of other tests
+        self.assertTrue(inject().success)  # ends faults of other tests
         for bad, cause in (
             ({"fault": "fire"}, "fire"),
             ({"fault": "mocap_blackout", "duration_s": [-1.0]}, "duration_s"),
@@ -126,7 +126,7 @@ class VirtualLabTest(unittest.TestCase):
         self.assertTrue(answer.success, answer.message)
 
         def of_it():
-            """All that was told of it, the oldest first."""
+            """Records of this fault before it has an end, oldest first."""
             records = [record for message in list(told) for record in message.faults]
             return [record for record in records if record.ends.is_zero() and record.begins.to_sec() > before_s]
 

@@ -1,7 +1,7 @@
 """A Motion Analysis Cortex host on the wire: what a client of the laboratory's mocap system talks to. No ROS.
 
-The host shows a world through a camera model. It belongs into a loop of one thread: wait for its fileno(), call
-serve() when it can be read, and tick() once the world has moved on. One frame is exposed for every period of the
+The host shows a world through a camera model. It runs in a single-threaded loop: wait on its fileno(), call
+serve() when it is readable, and tick() after each step of the world. One frame is exposed for every period of the
 frame rate that the world's time enters, and sent at once, so the caller's schedule is the schedule of the stream.
 
 Units: seconds of lab time (the clock of `now_s`; the world's time runs behind it by the reported delay) and metres in
@@ -24,7 +24,7 @@ from risc_simulator.models.mocap_cameras import Observation
 from risc_simulator.notices import Notices
 from risc_simulator.socket_host import SocketHost, open_socket
 
-IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
+IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 means Cortex
 MM_PER_M = 1000.0
 MULTICAST_TTL = 2  # as the SDK's own sockets
 COMMAND_RECEIVE_BUFFER_BYTES = 1 << 20  # as the SDK's own sockets
@@ -36,7 +36,7 @@ NUMBERS = {  # answers to text requests
     "GetContextAnalogBitDepth": ("<i", 16),
 }
 CLIENTS_REMEMBERED = 64
-RESTART_PERIOD_S = 1.0  # between two attempts, while somebody else has its addresses
+RESTART_PERIOD_S = 1.0  # between two attempts, while another program uses its addresses
 FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
 
 _LOG = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class _EncodedFrame(NamedTuple):
     delay_offset: int
 
     def dated(self, now_s, packet=None):
-        """The packet, or a copy of it, as it is sent at now_s."""
+        """Enter the delay of sending at now_s into the packet, or a given copy of it, and return it."""
         packet = self.packet if packet is None else packet
         wire.set_delay(packet, self.delay_offset, max(now_s - self.exposure_s, 0.0))
         return packet
@@ -72,7 +72,7 @@ class CortexHost(SocketHost):
         cameras see; None = wires of its own.
 
     Raises ValueError when the bodies cannot be shown (too many, frame larger than a datagram) and OSError when an
-    address cannot be used. Afterwards nothing that comes from the network raises: it is counted, see statistics().
+    address cannot be used. Afterwards, bad input from the network never raises: it is counted, see statistics().
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class CortexHost(SocketHost):
         self._live_on_start, self._interface = live_on_start, interface
         self._take = deque(maxlen=TAKE_FRAMES)
         self._forget()
-        self._restart_s = None  # when it is to open its sockets (again); None: it has them, or is not to have them
+        self._restart_s = None  # when to open the sockets (again); None: they are open, or the host is stopped
         self._requests, self._replies, self._stream = map(self.wire, ("requests", "replies", "stream"))
         self._frames = self.wires.frames("cortex/frames")
 
@@ -98,7 +98,7 @@ class CortexHost(SocketHost):
         self._body_defs = self._encode_body_defs(layout, templates or {})
         exact = Observation(world.time_s, layout, markers_m, np.empty((0, 3)))
         self._base_positions = self._encode(0, exact)
-        # what the operator's screen shows before anything was live
+        # the operator's screen before the first live frame
         self._shown = self._encode(0, self._cameras.observe(world.time_s, layout, markers_m))
         self._shown.dated(world.time_s + endpoint.reported_delay_s)
 
@@ -112,7 +112,7 @@ class CortexHost(SocketHost):
         self._announce()
 
     def _forget(self):
-        """What it knows when it is started."""
+        """Reset the state to that of a freshly started host."""
         self._number = 0  # of the newest frame
         self.live = self._live_on_start  # live mode is on
         self._last_exposure = None  # index of the last period of the frame rate that was served
@@ -121,12 +121,12 @@ class CortexHost(SocketHost):
         self._take.clear()
         self._take_at = 0
         self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
-        self._clients = {}  # (address, port) of those who asked something: an ordered set
+        self._clients = {}  # (address, port) of those that sent a request: an ordered set
 
     # --- the host interface of the virtual lab --------------------------------------------------------------------
 
     def tick(self, now_s):
-        """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
+        """Expose and send the frame that is due, if any. To be called after each step of the world."""
         self._now_s = now_s
         if self._stream_socket is None:
             self._try_to_start()
@@ -141,14 +141,14 @@ class CortexHost(SocketHost):
             self.wires.release(now_s)
 
     def stop(self):
-        """The program is killed: it is silent, deaf, and has forgotten all."""
+        """Act as a killed program: close the sockets and forget everything."""
         self._restart_s = None
         self._close_sockets()
         self._forget()
         self._counts["stops"] += 1
 
     def start(self):
-        """It is started again, at the same addresses."""
+        """Start again, at the same addresses."""
         self._restart_s = -math.inf
 
     def _try_to_start(self):
@@ -192,13 +192,13 @@ class CortexHost(SocketHost):
         return "\n".join(lines)
 
     def set_live(self, live):
-        """Live mode on or off, as the operator at the screen would."""
+        """Switch live mode on or off, as the operator can at the screen."""
         if live and not self.live:
             self._play_mode, self._last_exposure = 0, None
         self.live = live
 
     def statistics(self):
-        """Counts since the start, what has never happened is not in it and counts 0; and requests by kind."""
+        """Counts since the start (0 for a missing key), and requests by kind."""
         result = self._counts.copy()
         result["requests"] = dict(sorted(self._request_counts.items()))
         result["notices"] = self._notices.statistics()
@@ -218,7 +218,7 @@ class CortexHost(SocketHost):
         self._stream_target = None
         wildcard = endpoint.host in ("", "0.0.0.0")
         if endpoint.stream_group:
-            # an address of 127/8 leads to lo, whichever it is: clients that joined on 127.0.0.1 hear it
+            # any address of 127/8 selects lo: clients that joined on 127.0.0.1 receive the stream
             interface = interface or ("0.0.0.0" if wildcard else endpoint.host)
             try:
                 for option, value in (
@@ -236,7 +236,7 @@ class CortexHost(SocketHost):
             self._stream_target = endpoint.stream_group, endpoint.stream_port
         if wildcard:
             return
-        # a socket bound to one address hears no broadcasts; these do, and all hosts of a computer share them
+        # a socket bound to one address receives no broadcasts; these do, and all hosts of a computer share them
         for address in ("255.255.255.255", "127.255.255.255"):
             try:
                 sock = open_socket(socket.SOCK_DGRAM, address, self.address[1], "Cortex host, broadcasts", share=True)
@@ -252,7 +252,7 @@ class CortexHost(SocketHost):
             self._send_stream(wire.encode_identity(Command.HERE_I_AM, IDENTITY), self._stream_target, self._now_s)
 
     def _send(self, datagram, address, sock):
-        """True when it went out."""
+        """Send a datagram. Returns whether it went out."""
         try:
             sock.sendto(datagram, address)
         except OSError as error:  # also: no room in the buffer, no route, a bad address
@@ -309,7 +309,7 @@ class CortexHost(SocketHost):
         self._frames.carry(observation, self._number, self._now_s, self._show_and_send)
 
     def _show_and_send(self, observation, number, _now_s):
-        if self._stream_socket is None:  # it was killed before it came to this one
+        if self._stream_socket is None:  # the host was stopped while the frame was delayed
             return
         try:
             frame = self._encode(number, observation)
@@ -388,11 +388,11 @@ class CortexHost(SocketHost):
             self._answer(sender, name, reply)
 
     def _frame_shown(self):
-        """The newest live frame with its age; paused, the frame on the screen as it was sent."""
+        """The newest live frame with its age; when paused, the frame on the screen as it was sent."""
         return self._shown.dated(self._clock_s(), self._shown.packet[:]) if self.live else self._shown.packet
 
     def _reply_to_text(self, name, argument, sender):
-        """Obey a request. argument: what it says after "=", None without one. Returns None if it is not understood."""
+        """Answer a request. argument: the text after "=", None without one. Returns None if it is not understood."""
         if argument is not None and name not in ("GetFrameOfData", "SetOutputName", "ResetIDs"):
             return None
         match name:

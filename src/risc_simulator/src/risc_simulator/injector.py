@@ -1,4 +1,4 @@
-"""Lets faults happen in a lab, or in a flight without sockets: what acts where, and from when to when."""
+"""Applies faults in a lab, or in a flight without sockets: which acts where, and from when to when."""
 
 import math
 from collections import Counter
@@ -15,25 +15,25 @@ _ON_WIRES = {"datagrams", "streams", "frames"}
 
 
 class FaultRecord(NamedTuple):
-    """What was added. Times are those of the injector."""
+    """A fault that was added. Times are on the clock of the injector."""
 
     id: int  # from 1
-    event: FaultEvent  # with the vehicle that was chosen; its start says nothing any more
+    event: FaultEvent  # with the vehicle that was chosen; its start is no longer used
     begins_s: float
     ends_s: float  # infinite: it has no end
 
 
 @dataclass
 class _Act:
-    """A part of a record: on the wires, which know themselves when (subject None), on a vehicle or on the hosts."""
+    """A part of a record: on the wires, which do the timing (subject None), on a vehicle or on the hosts."""
 
     record: FaultRecord
     subject: object = None
-    member: object = None  # what its module has made
+    member: object = None  # made by the module of its fault
     begun: bool = False
 
     def call(self, what, time_s):
-        """Call begin, step or end where the member has it."""
+        """Call begin, step or end of the member, if it has one."""
         function = getattr(self.member, what, None)
         if function is not None:
             function(self.subject, time_s)
@@ -45,33 +45,33 @@ class Injector:
     def __init__(self, world, wires, seed=0, hosts=None):
         """world: World.  wires: Wires.  seed: the lab's.  hosts: what faults on hosts act on; None: there are none.
 
-        The seed of an act: this one, its fault, where it acts, and how many of it were there before.
+        The seed of an act depends on this one, on its fault, on where it acts, and on how many such acts came before.
         """
         self._world, self._wires, self._seed, self._hosts = world, wires, seed, hosts
         self._added = Counter()
-        self._acts = []  # those that are not over
+        self._acts = []  # acts that are not over
         self._wake_s = math.inf  # step() has nothing to do before this time
-        self.history = []  # FaultRecord of each that was added
-        self.changes = 0  # grows with each that is added, begins or ends
+        self.history = []  # FaultRecord of each fault that was added
+        self.changes = 0  # grows when a fault is added, begins or ends
 
     @property
     def active(self):
-        """FaultRecords of those that act now."""
+        """FaultRecords of the faults that act now."""
         return list(dict.fromkeys(act.record for act in self._acts if act.begun))
 
     @property
     def open(self):
-        """FaultRecords of those that act or wait."""
+        """FaultRecords of the faults that act or wait."""
         return list(dict.fromkeys(act.record for act in self._acts))
 
     def check(self, event):
-        """Raises ValueError, which names the cause, when a FaultEvent cannot happen here."""
+        """Raise ValueError, which names the cause, if a FaultEvent is not possible here."""
         self._targets(event)
 
     def add(self, event, now_s):
-        """Let a FaultEvent happen, `event.start_s` after now_s. Returns its FaultRecord. Raises ValueError as `check`.
+        """Let a FaultEvent begin `event.start_s` after now_s. Returns its FaultRecord. Raises ValueError like `check`.
 
-        now_s: of the clock of the wires.
+        now_s: on the clock of the wires.
         """
         vehicles = list(self._world.vehicles)
         if event.settings.per_vehicle and not event.vehicle and not event.channel and vehicles:
@@ -93,7 +93,7 @@ class Injector:
         return record
 
     def end_all(self, now_s):
-        """End what acts; what waits never begins. What is late on a wire still arrives."""
+        """End the faults that act, and drop those that wait. Delayed data on a wire still arrives."""
         self._wires.clear()
         for act in self._acts:
             if act.begun:
@@ -103,7 +103,7 @@ class Injector:
         self._acts, self._wake_s = [], math.inf
 
     def end_on(self, vehicle, now_s):
-        """End what acts on a world.Vehicle itself; what waits, or acts on wires and frames, is left alone."""
+        """End the faults that act on a world.Vehicle itself; those that wait, or act on wires and frames, go on."""
         ended = [act for act in self._acts if act.begun and act.subject is vehicle]
         for act in ended:
             act.call("end", self._world.time_s)
@@ -114,7 +114,7 @@ class Injector:
                 self.changes += 1
 
     def step(self, now_s):
-        """Begin what is due, end what is over, and let act on vehicles and hosts what acts in every step."""
+        """Begin faults that are due, end those that are over, and step those on vehicles and hosts."""
         if now_s < self._wake_s:
             return
         world_s = self._world.time_s
@@ -140,7 +140,7 @@ class Injector:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
 
     def _targets(self, event):
-        """Channels, vehicles or hosts that it acts on; of a vehicle that is still to be chosen: the first one's."""
+        """Channels, vehicles or hosts that an event acts on; those of the first vehicle if none is chosen yet."""
         settings, vehicles = event.settings, self._world.vehicles
         if settings.on_programs:
             text = "fault %s acts on programs of the graph, which the lab does not know: only ./maap fly can do it"
@@ -160,7 +160,7 @@ class Injector:
             channels = list(dict.fromkeys(channel.replace("{vehicle}", name) for name in names))
             for channel in channels:
                 self._wires.fit(event, channel)
-            if "frames" in settings.acts_on:  # it may need more than there is
+            if "frames" in settings.acts_on:  # raises if it needs more bodies than there are
                 event.module.make(event.severity, np.random.default_rng(0), self._bodies(event))
             return channels
         if event.channel:

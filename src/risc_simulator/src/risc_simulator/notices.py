@@ -1,15 +1,15 @@
-"""What clients of a host do, for the people who run it: each thing that a client does is said once, then counted."""
+"""What clients of a host do, for its operators: each kind of action of a client is logged once, then only counted."""
 
 import logging
 from collections import Counter
 
-MAX_SAID = 50  # lines of one host; the senders of a flood are as many as it likes
+MAX_SAID = 50  # lines per host: a flood may come from any number of senders
 
 
 class Notices:
-    """One host's.
+    """The notices of one host.
 
-    logger: of the module that speaks.  whose: name of the host, in front of every line.
+    logger: of the host's module.  whose: name of the host, in front of every line.
     """
 
     def __init__(self, logger, whose):
@@ -17,15 +17,15 @@ class Notices:
         self._events, self._complaints = Counter(), Counter()  # (what, sender) -> times
 
     def event(self, what, sender, detail=""):
-        """A client has done something. what: "asks for video".  sender: (address, port).  detail: said, not counted."""
+        """Note an action of a client. what: "asks for video".  sender: (address, port).  detail: only logged."""
         self._count(self._events, logging.INFO, what, sender, detail)
 
     def complaint(self, what, sender, detail=""):
-        """A client has done something that is wrong, or that others suffer from."""
+        """Note an action of a client that is wrong, or that disturbs other clients."""
         self._count(self._complaints, logging.WARNING, what, sender, detail)
 
     def statistics(self):
-        """{"events": {what: {"address:port": times}}, "complaints": the same}, for JSON; "others": too many to name."""
+        """{"events": {what: {"address:port": times}}, "complaints": likewise}, for JSON; "others": not logged."""
         result = {"events": {}, "complaints": {}}
         for kind, counts in zip(result.values(), (self._events, self._complaints)):
             for (what, sender), times in counts.items():

@@ -1,4 +1,4 @@
-"""What the hosts of the virtual lab have in common: sockets that are waited for."""
+"""What the hosts of the virtual lab have in common: sockets and their event loop."""
 
 import enum
 import errno
@@ -19,9 +19,9 @@ _CURES = {
 
 
 def open_socket(kind, address, port, whose, share=False):
-    """Socket of a kind (SOCK_DGRAM or SOCK_STREAM, which then listens) that does not block, bound to address and port.
+    """Open a non-blocking socket, bound to address and port. kind: SOCK_DGRAM, or SOCK_STREAM, which then listens.
 
-    share: others may have the same address.  Raises OSError that says whose it is, the cause and the cure.
+    share: others may have the same address.  Raises OSError that names its owner (whose), the cause and the cure.
     """
     sock = socket.socket(socket.AF_INET, kind)
     try:
@@ -39,14 +39,14 @@ def open_socket(kind, address, port, whose, share=False):
 
 
 def reset(sock):
-    """Let the close of a TCP connection be no ordinary end for the client, but an error."""
+    """Make close() reset a TCP connection: its client gets an error, not an ordinary end."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
 def greediest(addresses, newcomer):
-    """The address that has most of the places that are taken, and must give one up for a newcomer; None: none has to.
+    """Address that holds the most places and must give one up for a newcomer; None if none must.
 
-    Without this a single stranger could keep all places.
+    addresses: one for each place taken. Without this rule a single address could keep all places.
     """
     times = Counter(addresses)
     address, most = times.most_common(1)[0]
@@ -54,21 +54,21 @@ def greediest(addresses, newcomer):
 
 
 class SocketSet(selectors.EpollSelector):
-    """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
+    """Waits by epoll for members that have a fileno(): a wake costs time for readable members only, not for all.
 
-    A set has a fileno() itself, which can be read when a member can: sets nest. Closed, it has no members.
+    A set has a fileno() itself, which is readable when a member is, so sets nest. A closed set has no members.
     """
 
     def __iter__(self):
         return iter([key.fileobj for key in (self.get_map() or {}).values()])
 
     def add(self, member):
-        """Wait for this one, too; nothing happens when it is a member."""
+        """Add a member, unless it is one already."""
         if member not in self.get_map():
             self.register(member, selectors.EVENT_READ)
 
     def discard(self, member):
-        """Do not wait for this one any longer. To be called before it is closed."""
+        """Remove a member. To be called before the member is closed."""
         if member in self.get_map():
             self.unregister(member)
 
@@ -78,28 +78,28 @@ class SocketSet(selectors.EpollSelector):
 
 
 class TcpClients:
-    """Clients of a TCP listener to whom is only written: what they say is of no interest, that they hang up is.
+    """Clients of a TCP listener that are only written to: what they send is discarded, their hang-ups are noticed.
 
     A member of its host's SocketSet.
     """
 
     def __init__(self, listener, stream, notices, asks, most, arrive):
-        """stream: wires.Stream that all passes.  notices: Notices.  asks: what it means that one comes.
+        """stream: wires.Stream that all data passes.  notices: Notices.  asks: notice for a new client.
 
-        most: at a time.  arrive: called with (data, socket) when something written has come through, to be added to
-        its backlog.
+        most: clients at a time.  arrive: called with (data, socket) when data has passed the stream, to be added to
+        the socket's backlog.
         """
         self._listener, self._stream, self._notices, self._asks, self._most = listener, stream, notices, asks, most
         self._arrive, self._waiting = arrive, SocketSet()
         if listener is not None:
             self._waiting.add(listener)
         self.fileno = self._waiting.fileno
-        self.backlogs = {}  # socket -> what it has still to get
+        self.backlogs = {}  # socket -> bytes still to be sent
         self._addresses = {}  # socket -> IPv4 address of its other end
         self.refused = 0
 
     def serve(self, _now_s):
-        """Look who comes, says something or goes."""
+        """Accept new clients, discard what they send, notice hang-ups."""
         for sock in self._waiting.readable():
             if sock is self._listener:
                 self.accept()
@@ -107,7 +107,7 @@ class TcpClients:
                 self._drain(sock)
 
     def accept(self):
-        """Somebody has come."""
+        """Accept a new client, if there is room."""
         try:
             client, sender = self._listener.accept()
         except OSError:  # gone again
@@ -124,7 +124,7 @@ class TcpClients:
         self._waiting.add(client)
 
     def _make_room(self, newcomer):
-        """Hang up on the oldest client of the address that has most, if it has more than the newcomer's will have."""
+        """Disconnect the oldest client of the address that has most, if it has more than the newcomer's will have."""
         greedy = greediest(self._addresses.values(), newcomer)
         if greedy is None:
             return False
@@ -143,7 +143,7 @@ class TcpClients:
             self.hang_up(sock)
 
     def write(self, data, now_s):
-        """Let data pass the stream to everybody, at lab time now_s."""
+        """Send data to all clients through the stream, at lab time now_s."""
         for sock in list(self.backlogs):
             if self._stream.is_full(sock):
                 self.overflow(sock)
@@ -151,11 +151,11 @@ class TcpClients:
                 self._stream.carry(data, sock, now_s, self._come_through, self._cut)
 
     def overflow(self, sock):
-        """Something could not be written: the stream is held up, and its buffer is full."""
+        """Handle data that could not be written: the stream is held up, and its buffer is full."""
         self.hang_up(sock)
 
     def flush(self):
-        """Send what can be sent now."""
+        """Send as much of the backlogs as the sockets take now."""
         for sock, backlog in list(self.backlogs.items()):
             if backlog:
                 try:
@@ -174,7 +174,7 @@ class TcpClients:
             sock.close()
 
     def close(self):
-        """Hang up on everybody. May be called twice."""
+        """Disconnect all clients. May be called twice."""
         for sock in list(self.backlogs):
             self.hang_up(sock)
         self._waiting.close()
@@ -190,30 +190,30 @@ class TcpClients:
 
 
 class SocketHost:
-    """A host: on_readable() serves what comes in on the members of self._waiting: sockets, and what serves itself.
+    """A host: on_readable() serves input on the members of self._waiting: sockets, and objects with a serve().
 
-    Each datagram that it hears or says passes one of its wires, and what it writes to TCP clients one of its streams,
-    where faults may act on it.
+    Each datagram that it receives or sends passes one of its wires, and what it writes to TCP clients one of its
+    streams, where faults may act on it.
     """
 
     def __init__(self, name, wires=None):
-        """name: the first part of its channels' names. wires: wires.Wires of the lab; None = its own."""
+        """name: prefix of its channels' names. wires: wires.Wires of the lab; None = its own."""
         self._waiting = SocketSet()
         self._counts = Counter()
         self._name, self.wires = name, Wires() if wires is None else wires
-        self._heard = {}  # socket -> the wire that its datagrams pass, who takes them
-        self._now_s = 0.0  # lab time that it was last told
+        self._heard = {}  # socket -> (wire that its datagrams pass, function that takes them)
+        self._now_s = 0.0  # newest lab time that it was given
 
     def wire(self, what):
-        """wires.Wire of one of its channels, which it makes in its constructor. what: its name without the host's."""
+        """Make the wires.Wire of one of its channels, in its constructor. what: name without the host's."""
         return self.wires.wire("%s/%s" % (self._name, what))
 
     def stream(self, what):
-        """wires.Stream of one of its channels, which it makes in its constructor."""
+        """Make the wires.Stream of one of its channels, in its constructor."""
         return self.wires.stream("%s/%s" % (self._name, what))
 
     def hear(self, sock, wire, take):
-        """Let what comes in on a datagram socket pass a wire to take(datagram, sender, time)."""
+        """Pass the datagrams of a socket through a wire to take(datagram, sender, time)."""
         self._heard[sock] = wire, take
         self._waiting.add(sock)
 
@@ -226,7 +226,7 @@ class SocketHost:
         return list(self._waiting)
 
     def receive(self, sock):
-        """Yield (datagram, sender) of what waits, but not more than so many: a flood must not hold up the lab."""
+        """Yield (datagram, sender) of waiting datagrams, a limited number: a flood must not hold up the lab."""
         for _ in range(DATAGRAMS_PER_CALL):
             try:
                 yield sock.recvfrom(65536)
@@ -237,12 +237,12 @@ class SocketHost:
                 return
 
     def serve(self, now_s):
-        """Take all that has come in, at lab time now_s."""
+        """Handle everything that has come in, at lab time now_s."""
         for member in self._waiting.readable():
             self.on_readable(member, now_s)
 
     def on_readable(self, member, now_s):
-        """Something has come in on a member of self._waiting."""
+        """Handle input on a member of self._waiting."""
         self._now_s = now_s
         if member in self._heard:
             wire, take = self._heard[member]
@@ -253,18 +253,18 @@ class SocketHost:
 
 
 class Told(enum.IntEnum):
-    """What a vehicle is told over its link: the numbers of risc_maap_msgs/Told."""
+    """Order that a vehicle receives over its link: the numbers of risc_maap_msgs/Told."""
 
     NOTHING, FLY, HOVER, LAND = range(4)
 
 
 class VehicleHost(SocketHost):
-    """What one vehicle is on the wire. Constructed with (vehicle, address, seed, radio_loss, wires), see VirtualLab.
+    """Network side of one vehicle. Constructed with (vehicle, address, seed, radio_loss, wires), see VirtualLab.
 
     vehicle: world.Vehicle.  address: IPv4 address of this computer to listen on.  Raises OSError naming the cause and
-    the cure when that cannot be used; nothing that arrives later raises.
-    Beside close(), and on_readable() unless hear() says all, a type gives tick(now_s), called once per cycle after the
-    world has moved, and describe(): a line for people.
+    the cure if the address cannot be used; input that arrives later never raises.
+    A type defines close(), tick(now_s), called once per cycle after the world has moved, describe(): a line for people,
+    and on_readable() where hear() is not enough.
     """
 
     video_listener = None  # the TCP listener for video, bound; None: it has no camera
@@ -272,18 +272,18 @@ class VehicleHost(SocketHost):
     def __init__(self, vehicle, wires=None):
         super().__init__(vehicle.namespace, wires)
         self._vehicle = vehicle
-        self.told, self.told_s = Told.NOTHING, -math.inf  # as far as the type tells these apart; since when
+        self.told, self.told_s = Told.NOTHING, -math.inf  # newest order that the type can tell; since when
 
     def note_told(self, told, now_s):
-        """The vehicle is told this now."""
+        """Note the order that the vehicle receives now."""
         if told is not self.told:
             self.told, self.told_s = told, now_s
 
     def attach_video(self, video):
-        """video: video.server.Station, which serves the video clients, to be told what the configuration says."""
+        """video: video.server.Station, which serves the video clients; the host passes its configuration on to it."""
 
     def power_cycle(self, now_s):
-        """The vehicle, which stands, has been switched off and on at lab time now_s: so has what speaks for it."""
+        """Restart its communication: the vehicle, which stands, was switched off and on at lab time now_s."""
 
     def statistics(self):
         """Counts since the start, with the `notices` of its Notices, for JSON."""

@@ -1,14 +1,14 @@
 """The virtual lab as one program without ROS: physics, a Cortex host and a host for each vehicle, in one thread.
 
-Pictures are made by a process of its own, which starts with the lab and sleeps while nobody watches.
+A separate process makes the camera pictures; it starts with the lab and sleeps while no client watches.
 
     python3 -m risc_simulator.virtual_lab FLEET.yaml [options]
 
 Lab time is seconds since the start. World time runs behind it by the reported delay of motion capture: frame k is
 exposed at world time k / rate and sent at lab time k / rate + reported delay. The schedule is absolute, so it does not
-drift; after a delay of the computer the missed frames follow at once, each with its own exposure time. A computer that
-is too slow for that leaves frames out, so that what is seen and what is commanded stay near real time; while it sleeps,
-lab time stops.
+drift: after a stall of the computer the missed frames follow at once, each with its own exposure time. If the computer
+is too slow for that, frames are skipped, so that frames and commands stay near real time. While the computer is
+suspended, lab time stops.
 
 One process serves all vehicles: 50 in flight take 0.27 of a core (./maap bench world), ten take 0.11, so
 dividing the hosts among processes would gain less than it costs.
@@ -42,16 +42,16 @@ from risc_simulator.wires import Wires
 from risc_simulator.world import World, look_up
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
-MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
-HANDS_S = 3.0  # that no camera sees a vehicle which is picked up and put back
-LATE_S = 0.1  # a frame that is later than this is late,
-LATE_PATIENCE_S = 0.5  # and when all have been for so long those that are missing are left out
+MAX_CATCH_UP_S = 1.0  # a longer suspension of the computer stops the lab's clock meanwhile
+HANDS_S = 3.0  # a vehicle that is picked up and put back is hidden from the cameras for this time
+LATE_S = 0.1  # a frame that is overdue by more than this is late,
+LATE_PATIENCE_S = 0.5  # and if all frames were late for this long, the overdue ones are skipped
 _LOG = logging.getLogger(__name__)
-_CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
+_CAMERA_STREAM = (1000000,)  # random stream of the mocap cameras; those of the vehicles are (index, purpose)
 
 
 class LatenessHistogram:
-    """Streaming percentiles of delays: 10 us bins up to 100 ms, what is later falls into one last bin."""
+    """Streaming percentiles of delays: 10 us bins up to 100 ms, and one last bin for all above."""
 
     BIN_S = 1e-5
     BINS = 10000
@@ -61,7 +61,7 @@ class LatenessHistogram:
         self.max_s = 0.0
 
     def add(self, lateness_s):
-        """Count one delay [s]; what is early counts as on time."""
+        """Count one delay [s]; a negative one counts as 0."""
         lateness_s = max(lateness_s, 0.0)
         self.max_s = max(self.max_s, lateness_s)
         self._counts[min(int(lateness_s / self.BIN_S), self.BINS)] += 1
@@ -69,7 +69,7 @@ class LatenessHistogram:
     def percentile_s(self, percent):
         """Upper edge [s] of the bin that holds the percentile (never above the maximum); 0 without data."""
         seen = np.cumsum(self._counts)
-        wanted = max(math.ceil(seen[-1] * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
+        wanted = max(math.ceil(seen[-1] * percent / 100.0 - 1e-6), 1)  # the tolerance: rounding must not add one
         index = int(np.searchsorted(seen, wanted))
         return self.max_s if index >= self.BINS else min((index + 1) * self.BIN_S, self.max_s)
 
@@ -80,7 +80,7 @@ def _told(default, text, metavar=None):
 
 @dataclass(frozen=True)
 class LabOptions(Settings):
-    """Options by name. An empty text or a negative number leaves what the fleet file and the vehicle types say."""
+    """Options by name. An empty text or a negative number keeps the value of the fleet file or the vehicle type."""
 
     fleet: str = _told("", "what flies, and at which addresses", "FLEET.yaml")
     seed: int = _told(-1, "same seed, same vehicles and noise (default: that of the file of faults, else 0)", "N")
@@ -107,7 +107,7 @@ class LabOptions(Settings):
     stats: str = _told("", "write the statistics there at the end", "FILE.json")
 
     def configure(self, fleet):
-        """The fleet with the addresses that these options give. Raises ValueError."""
+        """Return the fleet with the vehicles, addresses and frame rate of these options. Raises ValueError."""
         if self.vehicles >= 0:
             fleet = fleet.with_vehicles(self.vehicles)
         if self.subnet:
@@ -116,7 +116,7 @@ class LabOptions(Settings):
         numbers = {"command_port": self.cortex_port, "stream_port": self.stream_port, "rate_hz": self.rate}
         changes = {name: text for name, text in texts.items() if text}
         changes.update({name: number for name, number in numbers.items() if number >= 0})
-        # the lab is one computer: there, vehicles with networks of their own need addresses of their own
+        # the lab is one computer: vehicles that have separate networks elsewhere need distinct addresses here
         return replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
 
     def make_lab(self, fleet):
@@ -127,15 +127,15 @@ class LabOptions(Settings):
 
 
 class VirtualLab:
-    """World and hosts on one schedule. Use it from one thread; only `stop` may come from elsewhere.
+    """World and hosts on one schedule. Use it from one thread; only the stop_event of `run` may be set elsewhere.
 
-    Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.
+    Raises ValueError for a fleet that cannot be simulated (unknown type, template, ...), OSError for an address in use.
     """
 
     def __init__(self, fleet, /, cameras_ahead=False, events=(), **options):
-        """fleet: Fleet. cameras_ahead: start the camera process now, and not when somebody wants video.
+        """fleet: Fleet. cameras_ahead: start the camera process now, not when the first client asks for video.
 
-        events: faults.FaultEvents, which start when it does. options: fields of LabOptions.
+        events: faults.FaultEvents; their start counts from that of the lab. options: fields of LabOptions.
         """
         told = LabOptions(**options)
         told = self.options = replace(told, seed=max(told.seed, 0))
@@ -148,9 +148,9 @@ class VirtualLab:
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
         step_s = self._period_s / self._cycles_per_frame
         self.world = World(fleet, types, templates, seed, not told.ideal, told.gusts, step_s)
-        self.frame = 0  # of the newest exposure
-        self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
-        self.frames_skipped = 0  # that a computer was too slow for
+        self.frame = 0  # number of the newest exposure
+        self.stalls = 0  # number of suspensions longer than MAX_CATCH_UP_S
+        self.frames_skipped = 0  # because the computer was too slow
         self._late_since_s = None  # lab time; None: the last frame was not late
         self.lateness = LatenessHistogram()  # of frames against the absolute schedule
         self.cameras = MocapCameras(
@@ -158,7 +158,7 @@ class VirtualLab:
             seed=np.random.SeedSequence(seed, spawn_key=_CAMERA_STREAM),
         )
         self._start_s = time.monotonic()
-        self._served_s = 0.0  # lab time that hosts were last told
+        self._served_s = 0.0  # lab time at which the hosts were last served
         self._hosts = []
         self.wires = Wires(seed)
         self._waiting = SocketSet()
@@ -221,7 +221,7 @@ class VirtualLab:
     def step(self):
         """Serve clients until the next frame is due, then expose and send it."""
         if self.frame == 0:
-            self._start_s = time.monotonic()  # what came before the first frame is not lateness
+            self._start_s = time.monotonic()  # delays before the first frame do not count
         self._skip_what_is_too_late()
         for cycle in range(1, self._cycles_per_frame + 1):
             time_s = (self.frame + cycle / self._cycles_per_frame) * self._period_s
@@ -238,7 +238,7 @@ class VirtualLab:
                 host.tick(now_s)
 
     def _skip_what_is_too_late(self):
-        """Leave out the frames that are overdue when the computer could not make up for them in time."""
+        """Skip the overdue frames if the computer did not catch up with them in time."""
         due_s = self.exposure_s + self._period_s + self._send_after_s
         now_s = self._forgive(due_s)
         late_s = now_s - due_s
@@ -259,9 +259,9 @@ class VirtualLab:
             self._late_since_s = None
 
     def _forgive(self, due_s):
-        """Lab time. If the computer has slept since hosts were served, the clock is set back to then, or to due_s."""
+        """Return lab time. After a suspension, first set the clock back to due_s or the last service, the later."""
         now_s = self.now_s()
-        slept_s = now_s - max(due_s, self._served_s)  # never back behind what the hosts have seen
+        slept_s = now_s - max(due_s, self._served_s)  # never before the time that the hosts have seen
         if slept_s > MAX_CATCH_UP_S:
             if not self.stalls:
                 _LOG.warning("the computer was suspended for %.1f s, and with it the lab's clock", slept_s)
@@ -277,7 +277,7 @@ class VirtualLab:
             self.wires.release(now_s)
             self._video.send(now_s)
             wake_s = min(due_s, self.wires.due_s, self._video.due_s)
-            # select, because a timeout of epoll's own counts in whole milliseconds
+            # select, because epoll's own timeout is in whole milliseconds
             if not select.select((self._waiting,), (), (), max(wake_s - now_s, 0.0))[0]:
                 if wake_s < due_s:
                     continue
@@ -302,18 +302,18 @@ class VirtualLab:
                 on_frame()
 
     def inject(self, event):
-        """Let a faults.FaultEvent happen, counted from now. Returns its injector.FaultRecord.
+        """Schedule a faults.FaultEvent; its start counts from now. Returns its injector.FaultRecord.
 
-        Raises ValueError when it cannot happen here.
+        Raises ValueError if the fault is not possible in this lab.
         """
         return self.injector.add(event, self._served_s)
 
     def put_back(self, namespace=""):
-        """Do with a vehicle ("": with all) what a person does between two flights: pick it up, take off it what faults
-        did to it, give it a full battery, switch it off and on, and stand it at its start.
+        """Prepare a vehicle ("": all) for its next flight, as a person does: pick it up, end the faults on it, fit a
+        full battery, switch it off and on, and stand it at its start.
 
-        Raises ValueError, and moves nothing, for an unknown vehicle, for one that flies or whose rotors turn, and where
-        another vehicle is in its place.
+        Raises ValueError, and moves nothing, for an unknown vehicle, for one that flies or whose rotors turn, and if
+        another vehicle occupies its start.
         """
         known = self.world.vehicles
         vehicles = [look_up(known, namespace, "vehicle")] if namespace else list(known.values())
@@ -326,24 +326,24 @@ class VirtualLab:
                 self.cameras.hide(body, self.world.time_s + HANDS_S)
 
     def end_faults(self):
-        """End all faults, also those that have not begun."""
+        """End all faults, including those that have not begun."""
         self.injector.end_all(self._served_s)
 
     def set_light(self, brightness):
-        """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
+        """Set the brightness of the room for the cameras: 1 = normal. Raises ValueError outside 0 to 10."""
         if not 0.0 <= brightness <= 10.0:
             raise ValueError("the light must be from 0 to 10 times the normal one, got %r" % (brightness,))
         self._video.light = brightness
 
     def wave_board(self, namespace, duration_s):
-        """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for what cannot be."""
+        """Wave a checkerboard in front of a vehicle's camera for a time [s] from now. Raises ValueError."""
         if not 0.0 <= duration_s < math.inf:
             raise ValueError("a board is waved for a time of 0 s or more, got %r" % (duration_s,))
         station = look_up(self._video.stations, namespace, "vehicle")
         station.board_s = self._served_s, self._served_s + duration_s
 
     def statistics(self):
-        """Everything worth keeping of the run, as plain numbers and texts (for JSON)."""
+        """Statistics of the run, as plain numbers and texts (for JSON)."""
         vehicles = {}
         for namespace, vehicle in self.world.vehicles.items():
             plant = vehicle.plant
@@ -424,7 +424,7 @@ def summary(statistics):
         for name, host in hosts.items()
         for what, senders in host["notices"]["complaints"].items()
         for sender, times in senders.items()
-        if times > 1  # else the line that was said is all
+        if times > 1  # a single one has been logged already
     ]
     return "\n".join(lines)
 
@@ -442,7 +442,7 @@ def report(statistics, path=""):
 
 
 def _parse_arguments(arguments):
-    """(LabOptions, how long to run [s] or None) of a command line. Raises ValueError."""
+    """Return (LabOptions, duration of the run [s] or None) of a command line. Raises ValueError."""
     parser = argparse.ArgumentParser(
         prog="virtual_lab", description="The virtual lab: motion capture and vehicles on the wire, without ROS."
     )

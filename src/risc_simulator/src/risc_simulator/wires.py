@@ -1,4 +1,4 @@
-"""All that virtual hosts hear and say passes a `Wire`, where seeded faults act on it."""
+"""All data that virtual hosts receive and send passes a `Wire`, where seeded faults act on it."""
 
 import fnmatch
 import heapq
@@ -9,11 +9,11 @@ from zlib import crc32
 
 import numpy as np
 
-MAX_HELD_BYTES = 256 * 1024  # of a connection; more than that its socket's buffers would not take either
+MAX_HELD_BYTES = 256 * 1024  # per connection; the buffers of its socket would not take more either
 
 
 class Wires:
-    """The wires of all hosts of a lab, and what acts on them."""
+    """The wires of all hosts of a lab, and the faults on them."""
 
     def __init__(self, seed=0):
         self._seed = seed
@@ -22,7 +22,7 @@ class Wires:
         self.due_s = math.inf  # release() has nothing to do before this time
 
     def wire(self, channel):
-        """Wire of a channel: one direction of what one host says or hears, e.g. risc1/navdata."""
+        """Wire of a channel: what one host sends or receives, e.g. risc1/navdata."""
         return self._wires.setdefault(channel, Wire(self, channel))
 
     def frames(self, channel):
@@ -34,9 +34,9 @@ class Wires:
         return self._wires.setdefault(channel, Stream(self, channel))
 
     def add(self, event, bodies=None):
-        """Let a FaultEvent act on the wires that its channel, or its member's, means; its start is a lab time.
+        """Let a FaultEvent act on the wires that match its channel, else its fault's; its start is a lab time.
 
-        bodies: faults.Bodies, for those that act on frames.  Raises ValueError as `fit`.
+        bodies: faults.Bodies, for faults that act on frames.  Raises ValueError like `fit`.
         """
         name, settings = event.fault, event.settings
         fit, make = self.fit(event, event.channel or settings.channel), event.module.make
@@ -52,7 +52,7 @@ class Wires:
     def fit(self, event, channel):
         """Wires of a channel that a FaultEvent can act on.
 
-        Raises ValueError when there are none, or none of a kind that the fault can act on.
+        Raises ValueError if no wire matches, or none of a kind that the fault can act on.
         """
         name, acts_on = event.fault, event.settings.acts_on
         if not channel:
@@ -67,26 +67,26 @@ class Wires:
         return fit
 
     def clear(self, channel="*"):
-        """End the faults of the wires that this means; what is late still arrives."""
+        """End the faults on the wires that match a channel; delayed data still arrives."""
         for wire in self._meant(channel):
             wire.acting = ()
             if wire.held:
                 self.call_at(-math.inf, wire.flow)
 
     def release(self, now_s):
-        """Deliver what was late and is due at lab time now_s."""
+        """Deliver the delayed data that is due at lab time now_s."""
         while self._late and self._late[0][0] <= now_s:
             heapq.heappop(self._late)[2](now_s)
         self.due_s = self._late[0][0] if self._late else math.inf
 
     def call_at(self, due_s, function):
-        """Let release() call a function with the time, once it is that late; those of equal times keep their order."""
+        """Let release() call function(time) once due_s is reached; calls with equal due_s keep their order."""
         self._late_count += 1
         heapq.heappush(self._late, (due_s, self._late_count, function))
         self.due_s = self._late[0][0]
 
     def statistics(self):
-        """{channel: {"sent", "delivered", "later"}}: what faults saw and what became of it; of streams also "cut"."""
+        """{channel: {"sent", "delivered", "later"}}: data that passed acting faults; for streams also "cut"."""
         return {channel: dict(wire.counts) for channel, wire in self._wires.items() if wire.counts}
 
     def _meant(self, channel):
@@ -101,20 +101,20 @@ def _size(data):
 
 
 class Wire:
-    """One channel of datagrams, or of what else stands for itself."""
+    """One channel of datagrams, or of other self-contained items."""
 
     held = ()
 
     def __init__(self, wires, channel, kind="datagrams"):
         self._wires, self.channel, self.kind = wires, channel, kind
         self.acting = ()  # of (start, end, act)
-        self.added = Counter()  # faults so far
+        self.added = Counter()  # faults added so far, by name
         self.counts = Counter()
 
     def carry(self, datagram, address, now_s, deliver):
-        """Let a datagram pass at lab time now_s. deliver: called with (datagram, address, time) when it arrives.
+        """Pass a datagram on at lab time now_s. deliver: called with (datagram, address, time) when it arrives.
 
-        Returns what deliver said, True for what arrives later, False for what is lost.
+        Returns what deliver returned; True if it arrives later, False if it is lost.
         """
         in_force = self._in_force(now_s) if self.acting else ()
         if not in_force:
@@ -133,7 +133,7 @@ class Wire:
         return result
 
     def _in_force(self, now_s):
-        """[(end, act)] of the faults that act now; those that are over are forgotten."""
+        """[(end, act)] of the faults that act now; faults that are over are dropped."""
         self.acting = tuple([fault for fault in self.acting if now_s < fault[1]])
         return [(end_s, act) for start_s, end_s, act in self.acting if start_s <= now_s]
 
@@ -154,15 +154,15 @@ class Stream(Wire):
 
     def __init__(self, wires, channel):
         super().__init__(wires, channel, "streams")
-        self.held = deque()  # what a fault keeps from passing, and what comes behind it
-        self._held_bytes = weakref.WeakKeyDictionary()  # of it, by connection
-        self._newest_s = weakref.WeakKeyDictionary()  # connection -> when what was written last arrives
+        self.held = deque()  # data that a fault holds back, and the data behind it
+        self._held_bytes = weakref.WeakKeyDictionary()  # bytes held, by connection
+        self._newest_s = weakref.WeakKeyDictionary()  # connection -> when its newest data arrives
 
     def carry(self, data, connection, now_s, deliver, cut):
-        """Let what was written to a connection pass at lab time now_s, behind what was written before.
+        """Pass on data that was written to a connection at lab time now_s, behind earlier data.
 
         data: bytes, or a tuple that begins with them.  deliver: called with (data, connection, time) when it arrives.
-        cut: called with the connection if it is cut. Both may be called when the connection has been closed.
+        cut: called with the connection if it is cut. Both may be called after the connection was closed.
         """
         if self._wires.due_s <= now_s:
             self._wires.release(now_s)
@@ -172,16 +172,16 @@ class Stream(Wire):
             self.flow(now_s)
 
     def is_full(self, connection):
-        """Whether so much of it is held that who writes has to wait, as at a socket whose buffer is full."""
+        """Whether so much of its data is held that a writer has to wait, as at a socket whose buffer is full."""
         return self._held_bytes.get(connection, 0) >= MAX_HELD_BYTES
 
     def forget(self, connection):
-        """Drop what is held of a connection that has been closed: a fault without end would keep it for ever."""
+        """Drop the held data of a closed connection: a fault without end would keep it forever."""
         self.held = deque(item for item in self.held if item[1] is not connection)
         self._held_bytes.pop(connection, None)
 
     def flow(self, now_s):
-        """Let pass what is held, as far as it may now."""
+        """Pass on the held data that no fault holds back any longer."""
         while self.held:
             data, connection, deliver, cut = self.held[0]
             faults, later_s, passing = self._in_force(now_s), 0.0, data

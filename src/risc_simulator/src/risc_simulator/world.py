@@ -1,12 +1,11 @@
 """The world of the virtual lab: N vehicles in the net, stepped together, bit for bit reproducible from the seed.
 
 Time is world time in seconds from 0, on a fixed grid. Actions are applied at the first grid time that is not before
-theirs. Everything outside (positions, velocities) is in the cortex frame; inside it is the state of
-models/quadrotor.py.
+theirs. The interface (positions, velocities) uses the cortex frame; the internal state is that of models/quadrotor.py.
 
-The world is a list of systems: a vehicle, with what is attached to it. One compiled call moves all systems of a kind by
-a step (models/integrator.py); what happens between steps (actions, an empty battery, the ends of a take-off's parts,
-touching the floor, the net or another vehicle) is decided here.
+The world is a list of systems: a vehicle with the body attached to it, if any. One compiled call advances all systems
+of a kind by a step (models/integrator.py); events between steps (actions, an empty battery, the phases of a take-off,
+contact with the floor, the net or another vehicle) are handled here.
 """
 
 import functools
@@ -29,13 +28,13 @@ from risc_simulator.vehicles import virtual_type
 
 NET_REBOUND_M_S = 0.5
 
-# What each random stream of a vehicle is for; the numbers are part of what a seed means.
+# Purposes of the random streams of a vehicle; with other numbers a seed would mean something else.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
 _EAST_IS_RIGHT = np.array([1.0, -1.0, 1.0])  # the cortex frame's y points left
 
 
 class Vehicle:
-    """One vehicle of the world, as hosts and studies see it."""
+    """One vehicle of the world: the interface for hosts and offline studies."""
 
     def __init__(self, world, index, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware):
         self.namespace = fleet_vehicle.namespace
@@ -46,12 +45,12 @@ class Vehicle:
         self.plant = plant  # PlantParams: the true one
         self.firmware = firmware
         self.attached = fleet_vehicle.attached  # AttachedBody or None
-        self.battery_was_set = False  # by somebody, from outside
+        self.battery_was_set = False  # its charge was changed from outside
         self._drawn = plant
         self._world, self._index = world, index
 
     def schedule(self, time_s, action):
-        """Let a Setpoint or FlightAction reach the vehicle's logic when world time passes time_s (a past time: now)."""
+        """Deliver a Setpoint or FlightAction to the on-board logic at world time time_s (a past time: now)."""
         if not math.isfinite(time_s):
             raise ValueError("an action needs a finite time, got %r" % (time_s,))
         world = self._world
@@ -70,7 +69,7 @@ class Vehicle:
 
     @property
     def body_state(self):
-        """State of what is attached to it (see its module in bodies), at world time; () when nothing is."""
+        """State of the attached body (see its module in bodies), at world time; empty if no vehicle carries one."""
         return self._world._x[len(X) :, self._index].copy()
 
     @property
@@ -89,32 +88,32 @@ class Vehicle:
         self.battery_was_set = True
 
     def weaken_battery(self, pct):
-        """The same as a fault of the battery that is in it."""
+        """Change the charge now, as by a fault of the fitted battery (see Firmware.weaken_battery)."""
         self.firmware.weaken_battery(pct, self._world.time_s)
         self.battery_was_set = True
 
     def change_wind(self, by_m_s):
-        """Change the mean velocity of the air around it by this (3,), cortex axes, from now on."""
+        """Add by_m_s (3,), cortex axes, to the mean velocity of the air around it, from now on."""
         self._world._change_wind(self._index, by_m_s)
 
     def turn(self, rolls_rad_s):
-        """Change its roll rate by this, at once: what a moment does meanwhile that its equations do not know."""
+        """Change its roll rate by this, at once: the effect of a moment that its equations do not contain."""
         self._world._x[X.P, self._index] += rolls_rad_s
         self._world._slope_at = -1
 
     def change_plant(self, **values):
-        """Let it be another one from now on, without its on-board logic knowing. values: fields of PlantParams."""
+        """Change its true plant from now on, unknown to its on-board logic. values: fields of PlantParams."""
         self._world._change_plant(self._index, values)
 
     @property
     def out_of_reach(self):
-        """Why nobody can pick it up now; "" when somebody can."""
+        """Why it cannot be picked up now; "" if it can."""
         if self.firmware.lifted:
             return "%s is in the air (%s)" % (self.namespace, self.phase.value)
         return "the rotors of %s turn" % self.namespace if self.firmware.motors_on else ""
 
     def put_back(self):
-        """Pick it up, and stand it where it started: as it was drawn, with a full battery, switched off and on.
+        """Stand it at its start, with its original plant and a full battery, switched off and on.
 
         Not when it is out of reach, see `World.check_place_for`.
         """
@@ -128,7 +127,7 @@ class Vehicle:
 
 @functools.cache
 def _equations(type_name, body_name):
-    """(Integrator, dtype of the records, Body or None) of a kind of system: a type of vehicle and what it carries."""
+    """(Integrator, dtype of the records, Body or None) of a kind of system: a vehicle type and the body it carries."""
     virtual = virtual_type(type_name)
     if not body_name:
         return integrator(type_name, **virtual.equations), record(*virtual.fields), None
@@ -149,18 +148,18 @@ class _Kind:
 
 
 class _Carried:
-    """What one vehicle carries."""
+    """The body that one vehicle carries."""
 
     def __init__(self, kind, c, template):
         self.column, self.template = int(kind.columns[c]), template
         self._body, self._record = kind.body, kind.records[c]
 
     def rest(self, x):
-        """Put it where it is while the vehicle stands. x: state of all."""
+        """Set the state that it has while the vehicle stands. x: state of all systems."""
         self._body.rest(x[:, self.column], self._record)
 
     def markers_m(self, x):
-        """(k, 3) its markers, cortex frame."""
+        """(k, 3) markers of the body, cortex frame."""
         position_m, axes = np.zeros(3), np.eye(3)
         self._body.place(x[:, self.column], self._record, position_m, axes)
         return position_m + self.template.markers_m @ axes.T
@@ -172,9 +171,9 @@ class World:
     def __init__(self, fleet, vehicle_types, templates, seed=0, perturbed=True, gusts=False, step_s=0.005):
         """fleet: Fleet. vehicle_types: VehicleType by the name used in the fleet. templates: Template by name.
 
-        perturbed: true plants are drawn around the nominal ones. gusts: moving air, `Gusts`; True: the usual ones.
+        perturbed: true plants are drawn around the nominal ones. gusts: moving air, `Gusts`; True: the default ones.
         step_s: grid (see test_quadrotor.py for what it costs in accuracy). Raises ValueError when fleet, types and
-        templates do not fit each other, and for gusts that cannot be.
+        templates do not match, and for impossible gusts.
         """
         if not 0.0 < step_s <= 0.02:
             raise ValueError("step_s must be in (0, 0.02], got %r" % (step_s,))
@@ -191,7 +190,7 @@ class World:
             replace(look_up(vehicle_types, vehicle.type, "vehicle type"), **dict(vehicle.overrides))
             for vehicle in fleet.vehicles
         ]
-        kinds = {}  # {(name of the type, of what it carries): columns}
+        kinds = {}  # {(name of the type, name of the body or ""): columns}
         for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
             carried = fleet_vehicle.attached.body if fleet_vehicle.attached else ""
             kinds.setdefault((vehicle_type.name, carried), []).append(i)
@@ -207,7 +206,7 @@ class World:
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
             firmware = virtual.Firmware(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
             vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware))
-            x, y, _ = fleet_vehicle.start.position_m  # height is the floor's: it stands
+            x, y, _ = fleet_vehicle.start.position_m  # its height is ignored: the vehicle stands on the floor
             if abs(x) > net.half_x_m or abs(y) > net.half_y_m:
                 raise ValueError(
                     "%s starts outside the net (|x| <= %.2f m, |y| <= %.2f m): change its start in the "
@@ -233,7 +232,7 @@ class World:
             markers_m = look_up(templates, mark.name, "mocap template").markers_m
             bodies.append((mark.name, markers_m @ _turned(mark.facing_rad).T + mark.position_m))
         bodies += [(one.template.name, one.template.markers_m) for one in carried]
-        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, what vehicles carry
+        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, attached bodies
         self.layout = tuple((name, len(markers_m)) for name, markers_m in bodies)
         firsts = np.cumsum([0] + [count for _, count in self.layout])
         self._first_marker, self._first_carried = firsts[: n + 1], firsts[len(bodies) - len(carried)]
@@ -248,7 +247,7 @@ class World:
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
         self._slope, self._thrust_n = np.empty((rows, n)), np.empty(n)
-        self._slope_at = -1  # step whose slopes and thrusts these are
+        self._slope_at = -1  # step for which slopes and thrusts were computed
 
         self._gusts = Gusts() if gusts is True else gusts or None
         self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n if self._gusts else 0)]
@@ -265,7 +264,7 @@ class World:
 
     @property
     def least_separation_m(self):
-        """Least distance between the centres of two vehicles in the air so far; None when no two have been."""
+        """Least distance between the centres of two vehicles in the air so far; None if two never were."""
         return None if self._least_squared_m2 == math.inf else math.sqrt(self._least_squared_m2)
 
     def step_to(self, time_s):
@@ -299,7 +298,7 @@ class World:
                 self._meet_each_other()
 
     def _blow(self):
-        """Let the air move by itself for a step, around its mean velocity."""
+        """Advance the random motion of the air, around its mean velocity, by a step."""
         gusts_m_s = self._gust_scale * np.array([rng.standard_normal(3) for rng in self._gust_rngs])
         keep, wind_m_s = self._gusts.keep(self.step_s), self._u[U.WIND_N : U.WIND_UP + 1]
         if self._wind_m_s is not None:
@@ -307,7 +306,7 @@ class World:
         wind_m_s[:] = keep * wind_m_s + gusts_m_s.T
 
     def _scale_gusts(self):
-        """For the vehicles as they are now: (n, 3) 1 sigma of what a step adds to the velocity of the air."""
+        """Update _gust_scale for the current plants: (n, 3) 1 sigma of what a step adds to the velocity of the air."""
         if self._gusts:
             std_m_s = np.array([self._gusts.std_m_s(vehicle.plant) for vehicle in self._vehicles])
             self._gust_scale = std_m_s * math.sqrt(1.0 - self._gusts.keep(self.step_s) ** 2)
@@ -324,7 +323,7 @@ class World:
         vehicle = self._vehicles[i]
         plant = replace(vehicle.plant, **values)
         if self._gusts:
-            self._gusts.std_m_s(plant)  # raises for one that no air moves, before anything has changed
+            self._gusts.std_m_s(plant)  # raises for a plant without drag, before anything has changed
         vehicle.plant = plant
         for kind in self._kinds:
             for c in np.flatnonzero(kind.columns == i).tolist():
@@ -333,7 +332,7 @@ class World:
         self._slope_at = -1
 
     def _advance(self):
-        """Move all by a step. Returns whether one of them touches floor or net."""
+        """Advance all systems by a step. Returns whether a vehicle touches floor or net."""
         touching = False
         for kind in self._kinds:
             vehicles = kind.columns, kind.records
@@ -341,7 +340,7 @@ class World:
         return touching
 
     def _load_compiled(self):
-        """Call once what is compiled: nothing is loaded in flight. Nobody moves: all stand."""
+        """Call each compiled function once, so that none is loaded in flight. No vehicle moves: all stand."""
         self._advance()
         self.truth()
         self.markers_m()
@@ -351,7 +350,7 @@ class World:
     # ------------------------------------------------------------------ what on-board logic decides
 
     def _take_over(self, i):
-        """Bring what the firmware decided into the arrays."""
+        """Copy the decisions of the firmware into the arrays."""
         firmware = self._vehicles[i].firmware
         command = firmware.tell()
         if command is not None:
@@ -375,7 +374,7 @@ class World:
         _, climb_m_s = self._motions[i]()
         if height < REST_HEIGHT_M:
             reason = firmware.touch_down(self.time_s, -climb_m_s)
-            # it stands: level, at rest, heading kept; what still pushes lifts it off again in the next step
+            # it stands: level, at rest, heading kept; remaining thrust lifts it off again in the next step
             self._x[X.U : X.PSI, i] = 0.0
             self._x[X.P : X.R + 1, i] = 0.0
             self._x[X.H, i] = REST_HEIGHT_M
@@ -406,7 +405,7 @@ class World:
         for pair in zip(first[near].tolist(), second[near].tolist()):
             for this, other in (pair, pair[::-1]):
                 firmware = self._vehicles[this].firmware
-                if firmware.phase is not FlightPhase.EMERGENCY:  # else it falls already, for this reason or another
+                if firmware.phase is not FlightPhase.EMERGENCY:  # otherwise it is falling already
                     firmware.crash(self.time_s)
                     place = self._x[: X.H + 1, this].tolist()
                     name = self._vehicles[other].namespace
@@ -419,12 +418,12 @@ class World:
         self.crashes.append(Crash(self.time_s, self._vehicles[i].namespace, position_m, reason, other))
 
     def _stand(self, i):
-        """Let it stand at its start."""
+        """Place it at its start, standing."""
         place, self._x[X.PSI, i] = self._starts[i]
         self._x[: X.H + 1, i] = place
 
     def check_place_for(self, vehicles):
-        """Raises ValueError when Vehicles cannot be put back: out of reach, or others are in their places."""
+        """Raise ValueError if Vehicles cannot be put back: out of reach, or others occupy their starts."""
         for reason in (vehicle.out_of_reach for vehicle in vehicles if vehicle.out_of_reach):
             raise ValueError("%s: land it first" % reason)
         stay = [other._index for other in self._vehicles if other not in vehicles]
@@ -437,7 +436,7 @@ class World:
                 raise ValueError(text % (other, vehicle.namespace))
 
     def _put_back(self, i, plant):
-        self._agenda = [item for item in self._agenda if item[2] != i]  # what it was told
+        self._agenda = [item for item in self._agenda if item[2] != i]  # drop its pending actions
         heapq.heapify(self._agenda)
         self._change_plant(i, vars(plant))
         self._vehicles[i].firmware.power_cycle(self.time_s)
@@ -472,7 +471,7 @@ class World:
         return self._markers_m
 
     def truth(self):
-        """(n, 12) what perfect motion capture would say of the vehicles, in fleet order.
+        """(n, 12) true states of the vehicles, as from perfect motion capture, in fleet order.
 
         Columns: position [m] and velocity [m/s] in cortex axes; roll, pitch, yaw [rad], yaw not wrapped; their rates
         of change [rad/s].
@@ -483,11 +482,11 @@ class World:
         return np.hstack((self.positions_m(), velocity, x[X.PHI : X.P].T, slope[X.PHI : X.P].T))
 
     def positions_m(self):
-        """(n, 3) where the vehicles are, cortex axes, in fleet order."""
+        """(n, 3) positions of the vehicles [m], cortex axes, in fleet order."""
         return self._x[: X.U].T * _EAST_IS_RIGHT
 
     def _differentiate(self):
-        """Slopes and thrusts at world time, once."""
+        """Compute slopes and thrusts at world time, once per step."""
         if self._slope_at != self._steps:
             for kind in self._kinds:
                 kind.differentiate(self._x, self._u, kind.columns, kind.records, self._slope, self._thrust_n)
@@ -543,18 +542,18 @@ def _motor_pwm(firmware, thrust_fraction):
 
 
 def _turned(yaw_rad):
-    """Rotation matrix of an upright object, cortex axes, from facing along x to facing there (+ clockwise)."""
+    """Rotation matrix, cortex axes, that turns an upright object from facing x to a yaw angle (+ clockwise)."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _rng(seed, vehicle_index, stream):
-    """A Generator that belongs to one vehicle and purpose, whatever the size of the fleet."""
+    """Generator of one vehicle and purpose, independent of the size of the fleet."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(vehicle_index, stream)))
 
 
 def look_up(mapping, name, what):
-    """Item of a mapping. Raises ValueError that names the known ones. what: the items, e.g. "vehicle"."""
+    """Item of a mapping. Raises ValueError that lists the known names. what: kind of item, e.g. "vehicle"."""
     if name not in mapping:
         raise ValueError("no %s '%s'; known are: %s" % (what, name, ", ".join(sorted(mapping))))
     return mapping[name]

@@ -1,18 +1,18 @@
-"""What a vehicle can carry that moves by itself: each body is a module here, coupled to the vehicle by its equations.
+"""Bodies that a vehicle can carry, with their own motion: each is a module here, coupled to the vehicle by equations.
 
 A body is a module with
     SIZE        rows of its own state, which follow the vehicle's twelve (models.quadrotor.X)
     FIELDS      names of the numbers that its equations read from vehicle.body; its YAML file gives their values
 and, compiled (risc_lab.compiled),
-    couple      (x, vehicle, x_dot): writes its own rows of x_dot, and adds its force to those of the vehicle, which
-                hold the motion without it (models.quadrotor.push is of use)
-    rest        (x, vehicle): writes its own rows of x as they are while the vehicle stands, or is put into the air
-    place       (x, vehicle, position_m, axes): writes where its template is, cortex frame: position_m (3,), and, where
-                it turns, axes (3, 3): its axes as columns; they are those of the frame otherwise
-vehicle: record with the true mass and all else of models.quadrotor.QUADROTOR_FIELDS. The floor and the net do not stop
-a body. The fleet file attaches it:  attached: {body: NAME, template: TEMPLATE}  at a vehicle; YAML files are
-config/bodies/NAME.yaml. One from elsewhere is bodies/NAME.py and bodies/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see
-risc_lab.registry).
+    couple      (x, vehicle, x_dot): writes its own rows of x_dot, and adds its force to the vehicle's rows, which
+                already hold the motion without the body (models.quadrotor.push helps)
+    rest        (x, vehicle): writes its own rows of x for a vehicle that stands, or is put into the air
+    place       (x, vehicle, position_m, axes): writes the pose of its template, cortex frame: position_m (3,), and, if
+                it turns, axes (3, 3): its axes as columns; before the call axes is the identity matrix
+vehicle: record with the true values of models.quadrotor.QUADROTOR_FIELDS, e.g. the mass. The floor and the net do not
+stop a body. A fleet file attaches a body to a vehicle with  attached: {body: NAME, template: TEMPLATE}. YAML files are
+config/bodies/NAME.yaml. A body from outside this package is bodies/NAME.py and bodies/NAME.yaml in a folder of
+RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
 
 from dataclasses import astuple, make_dataclass
@@ -27,7 +27,7 @@ REGISTRY = Registry("bodies", __name__)
 
 
 class Body(NamedTuple):
-    """What the world knows of a body."""
+    """Definition of a body, as the world uses it."""
 
     size: int
     record: np.dtype

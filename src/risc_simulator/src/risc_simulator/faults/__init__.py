@@ -1,21 +1,22 @@
-"""Faults: what goes wrong in the lab, as data. A seeded act on a wire, on frames of motion capture, vehicles, hosts or
-programs.
+"""Faults: what goes wrong in the lab, as data. A fault is a seeded act on wires, on frames of motion capture, on
+vehicles, hosts or programs.
 
-A fault is a module here and its YAML file (config/faults/NAME.yaml), which holds the fields of `FaultSettings`. What
-the module has depends on what it acts on:
+It is a module here and its YAML file (config/faults/NAME.yaml), which holds the fields of `FaultSettings`. What the
+module defines depends on what the fault acts on:
     datagrams, streams    make(severity, rng) -> act; act(data, now_s) -> the (later_s, data) pairs that arrive in place
-                          of a datagram: none when it is lost. Of a stream (TCP) data is what was written at once, and
-                          its order is kept. What is lost comes when the fault is over, as TCP sends it again; None: the
-                          connection is cut. In flights without sockets data is not bytes but what stands for them.
-    frames                make(severity, rng, bodies) -> act, the same on models.mocap_cameras.Observation: between the
-                          cameras and Cortex. bodies: `Bodies`. What it is given must not be changed in place.
-    plant                 make(severity, rng) -> an object with what it needs of begin(vehicle, time_s), step(vehicle,
-                          time_s) (before each step of the world) and end(vehicle, time_s). vehicle: world.Vehicle.
-    hosts                 the same with hosts, {"cortex": its host}, in place of the vehicle: stop() and start() there
-    programs              the same with a program of the graph, which has kill(), stop() and resume(). The lab does not
-                          know programs: who has started them lets it happen (`./maap fly`)
-rng: numpy Generator that belongs to this act alone.
-One from elsewhere is faults/NAME.py and faults/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
+                          of a datagram: none if it is lost. For a stream (TCP), data is what was written at once, and
+                          the order is kept. Lost data arrives when the fault is over, as TCP sends it again; None
+                          cuts the connection. In flights without sockets, data is an object in place of the bytes.
+    frames                make(severity, rng, bodies) -> act, likewise for models.mocap_cameras.Observation, between the
+                          cameras and Cortex. bodies: `Bodies`. act must not change its input in place.
+    plant                 make(severity, rng) -> an object with any of begin(vehicle, time_s), step(vehicle, time_s)
+                          (before each step of the world) and end(vehicle, time_s). vehicle: world.Vehicle.
+    hosts                 likewise, with hosts, {"cortex": its host}, in place of the vehicle: they have stop(), start()
+    programs              likewise, with a program of the graph, which has kill(), stop() and resume(). The lab does not
+                          know programs: the program that started them applies the fault (`./maap fly`)
+rng: numpy Generator of this act alone.
+A fault from outside this package is faults/NAME.py and faults/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see
+risc_lab.registry).
 """
 
 import functools
@@ -32,21 +33,21 @@ from risc_lab.registry import VARIABLE, Registry
 from risc_lab.settings import Count, NotNegative, Settings, settings_from
 
 REGISTRY = Registry("faults", __name__)
-EVERYONE = "*"  # in place of a vehicle
+EVERYONE = "*"  # in place of a vehicle: all of them
 _FORM = "NAME[:ARG,...][@SECONDS]"
 
 
 class Bodies(NamedTuple):
-    """Whose markers a fault on frames is meant to change: names of the vehicles' templates."""
+    """Bodies whose markers a fault on frames changes: names of the vehicles' templates."""
 
     meant: tuple[str, ...]
     others: tuple[str, ...]  # the rest of the vehicles
-    markers_m: dict[str, np.ndarray]  # of all of them: (n, 3) where the markers are on the body (forward, right, down)
+    markers_m: dict[str, np.ndarray]  # of all vehicles: (n, 3) markers, body axes (forward, right, down)
 
 
 @dataclass(frozen=True)
 class FaultDefault(Settings):
-    """What counts where an event does not say it."""
+    """Values for an event that does not give them."""
 
     severity: float | None = None  # None: the least
     duration_s: NotNegative = math.inf
@@ -54,21 +55,21 @@ class FaultDefault(Settings):
 
 @dataclass(frozen=True)
 class FaultSettings(Settings):
-    """What a member's YAML file says."""
+    """Content of the YAML file of a fault."""
 
     severity: tuple[float, float]  # least and greatest
     summary: str = ""  # for people, one line
     unit: str = ""  # of the severity
     acts_on: tuple[Literal["datagrams", "streams", "frames", "plant", "hosts", "programs"], ...] = ("datagrams",)
     channel: str = ""  # of the wire, unless an event names one; {vehicle}: its namespace
-    argument: Literal["severity", "duration"] = "severity"  # what a number on the command line is
+    argument: Literal["severity", "duration"] = "severity"  # meaning of a number on the command line
     duration_s: tuple[NotNegative, NotNegative] = (0.0, math.inf)  # least and greatest
     default: FaultDefault = FaultDefault()
     grades: dict[str, float] = field(default_factory=dict)  # {mild, medium, severe: value of the argument}
-    shared: bool = False  # one act for all channels of an event: then they are silent at the same time
-    lasts: bool = False  # what it has done to its vehicle stays when it is over
-    per_vehicle: bool = False  # it happens to one vehicle, which the seed chooses unless the event names one
-    # outcomes of a flight that are safe with it; breach: nothing can be done against it
+    shared: bool = False  # one act for all channels of an event: they fall silent together
+    lasts: bool = False  # its effect on the vehicle stays when it is over
+    per_vehicle: bool = False  # acts on one vehicle, which the seed chooses unless the event names one
+    # outcomes of a flight that count as safe with it; breach: included if nothing can prevent one
     safe: tuple[Literal["completed", "held", "landed", "breach"], ...] = ("completed", "held", "landed")
 
     def __post_init__(self):
@@ -91,7 +92,7 @@ class FaultSettings(Settings):
 
     @property
     def argument_field(self):
-        """The field of a FaultEvent that the argument is."""
+        """Field of FaultEvent that the argument sets."""
         return "severity" if self.argument == "severity" else "duration_s"
 
     @property
@@ -105,22 +106,22 @@ class FaultSettings(Settings):
 
     @property
     def on_programs(self):
-        """It happens to a program of the graph, not in the lab."""
+        """True if it acts on a program of the graph, not in the lab."""
         return "programs" in self.acts_on
 
 
 @dataclass(frozen=True)
 class FaultEvent(Settings):
-    """A fault that acts for a time. What is None becomes the member's default. Raises ValueError for what cannot be."""
+    """A fault that acts for a time. None becomes the default of the fault. Raises ValueError for impossible values."""
 
-    fault: str  # name of the member
-    vehicle: str = ""  # namespace; "": the seed's choice if it happens to one vehicle; "*": each of them
+    fault: str  # name of the fault
+    vehicle: str = ""  # namespace; "": chosen by the seed if the fault acts on one vehicle; "*": all vehicles
     severity: float | None = None
     duration_s: NotNegative | None = None
-    start_s: float = 0.0  # from when it is added
-    # of `Wires`, e.g. risc1/navdata; with * and ? it means several, e.g. risc1/*, */commands; "": the member's default
+    start_s: float = 0.0  # counted from when it is added
+    # of `Wires`, e.g. risc1/navdata; * and ? match several, e.g. risc1/*, */commands; "": the default of the fault
     channel: str = ""
-    program: str = ""  # what it does in the graph, e.g. controller: of faults on programs, which need one
+    program: str = ""  # role of a program in the graph, e.g. controller; faults on programs need one
 
     def __post_init__(self):
         super().__post_init__()
@@ -143,17 +144,17 @@ class FaultEvent(Settings):
 
     @property
     def settings(self):
-        """FaultSettings of its member."""
+        """FaultSettings of the fault."""
         return fault_settings(self.fault)
 
     @property
     def module(self):
-        """That of its member."""
+        """Module of the fault."""
         return REGISTRY.module(self.fault)
 
     @property
     def args(self):
-        """What it is, without its name and its start: as on the command line."""
+        """Arguments as on the command line: without the name and the start."""
         settings = self.settings
         numbers = {"severity": (self.severity, settings.default_severity),
                    "duration_s": (self.duration_s, settings.default.duration_s)}  # fmt: skip
@@ -169,7 +170,7 @@ class FaultEvent(Settings):
 
 
 def fault_settings(name):
-    """FaultSettings of a member. Raises ValueError."""
+    """FaultSettings of a fault. Raises ValueError."""
     return _settings(name, os.environ.get(VARIABLE))
 
 
@@ -181,7 +182,7 @@ def _settings(name, _folders):
 def parse_fault(text):
     """FaultEvent of a text NAME[:ARG,...][@SECONDS], e.g. mocap_blackout:0.3, jump:0.5,risc2@4, loss:severe.
 
-    ARG: a number, the fault's argument; the name of one of its grades; a vehicle; or FIELD=VALUE of a FaultEvent. Of
+    ARG: a number, the fault's argument; the name of one of its grades; a vehicle; or FIELD=VALUE of a FaultEvent. For
     faults on programs the first name is the program's, e.g. node_stop:controller,3.
     SECONDS: when it starts. Raises ValueError that names cause and cure.
     """
@@ -228,10 +229,10 @@ def _number(text, value):
 
 @dataclass(frozen=True)
 class FaultFile(Settings):
-    """What a YAML file of faults says."""
+    """Content of a YAML file of faults."""
 
     faults: tuple[FaultEvent, ...]
-    seed: Count | None = None  # of the flight or the lab that they happen in, unless that is told another one
+    seed: Count | None = None  # of the flight or the lab, unless that is given another one
 
 
 def load_fault_file(path):
@@ -240,5 +241,5 @@ def load_fault_file(path):
 
 
 def load_faults(path):
-    """FaultEvents of such a file. Raises ValueError."""
+    """FaultEvents of a YAML file of faults. Raises ValueError."""
     return load_fault_file(path).faults

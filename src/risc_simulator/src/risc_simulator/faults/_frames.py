@@ -11,7 +11,7 @@ MISSING_M = 1e-3 * wire.MISSING_MM
 
 
 def rows_of(observation, names):
-    """[slice of markers_m] of the bodies with these names, in their order; those that are not in it are left out."""
+    """[slice of markers_m] of the bodies with these names, in the order of the names; unknown names are skipped."""
     found, start = {}, 0
     for name, count in observation.layout:
         found[name] = slice(start, start + count)
@@ -20,7 +20,7 @@ def rows_of(observation, names):
 
 
 def changed(observation, names, change):
-    """The Observation with change(markers (n, 3) of a body) in place of the markers of each body with these names."""
+    """Copy of the Observation in which change(markers (n, 3)) replaces the markers of each body with these names."""
     markers_m = observation.markers_m.copy()
     for rows in rows_of(observation, names):
         markers_m[rows] = change(markers_m[rows])
@@ -28,15 +28,15 @@ def changed(observation, names, change):
 
 
 def level_direction(rng):
-    """(3,) unit vector, level, in any direction."""
+    """(3,) horizontal unit vector in a random direction."""
     angle_rad = rng.uniform(0.0, 2.0 * np.pi)
     return np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
 
 
 def pose(markers_m, body_m):
-    """(R, t) of a body: R (3, 3) turns its axes into those of the room, t (3,) is where its origin is.
+    """(R, t) of a body: R (3, 3) rotates body axes into the mocap frame, t (3,) is the place of its origin.
 
-    markers_m: (n, 3) as seen, NaN rows are lost.  body_m: (n, 3) the same on the body.  None with fewer than three.
+    markers_m: (n, 3) as seen, NaN rows are lost.  body_m: (n, 3) the same in body axes.  None if fewer than three.
     """
     seen = np.isfinite(markers_m).all(axis=1)
     if seen.sum() < 3:
@@ -48,7 +48,7 @@ def pose(markers_m, body_m):
 
 
 def overwrite(share, rng, bodies, axis, value_m):
-    """act that gives so large a share of the bodies' markers this coordinate, whether frames are packed yet or not."""
+    """act that sets one coordinate of a random share of the bodies' markers, in Observations or packed frames."""
 
     def act(seen, now_s):
         if isinstance(seen, Observation):

@@ -1,4 +1,4 @@
-"""The vehicle weighs more by this share of its mass; its on-board logic does not know."""
+"""The vehicle is heavier by this share of its mass; its on-board logic does not know."""
 
 
 class Load:

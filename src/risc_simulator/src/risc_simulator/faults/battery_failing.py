@@ -1,4 +1,4 @@
-"""The battery loses so much [%] in a second beside what flying takes."""
+"""The battery loses charge at this rate [%/s], in addition to what flying takes."""
 
 
 class Failing:

@@ -1,4 +1,4 @@
-"""Again and again nothing arrives for so long [s]; between two such times it does for as long to five times as long."""
+"""Repeated silences of this length [s]; the time between two of them is one to five times as long."""
 
 
 def make(severity, rng):

@@ -1,4 +1,4 @@
-"""With this probability one byte of a datagram, anywhere in it, is another one. What has no bytes stays as it is."""
+"""With this probability one byte of a datagram, anywhere in it, is changed. Data that is not bytes is unchanged."""
 
 
 def make(severity, rng):

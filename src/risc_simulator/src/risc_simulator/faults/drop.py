@@ -1,4 +1,4 @@
-"""A datagram is lost with this probability, whatever happened to those before."""
+"""A datagram is lost with this probability, independently of those before."""
 
 
 def make(severity, rng):

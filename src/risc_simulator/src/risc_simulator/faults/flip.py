@@ -1,4 +1,4 @@
-"""The body is seen turned by this angle [deg] about its own vertical axis: labels that fit the other way round."""
+"""The body is seen turned by this angle [deg] about its own vertical axis: its labels fit the other way round."""
 
 import numpy as np
 

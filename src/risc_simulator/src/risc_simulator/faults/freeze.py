@@ -1,4 +1,4 @@
-"""The picture of a body freezes while frames go on; where no vehicle is named, the whole picture."""
+"""The markers of a body stand still while frames go on; if no vehicle is named, all markers."""
 
 from risc_simulator.faults._frames import rows_of
 

@@ -1,4 +1,4 @@
-"""The markers of the body are anywhere in the room, elsewhere in each frame."""
+"""The markers of the body are at random places in the room, new ones in each frame."""
 
 from risc_simulator.faults._frames import changed
 

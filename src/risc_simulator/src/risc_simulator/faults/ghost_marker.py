@@ -1,4 +1,4 @@
-"""A reflection so far [m] beside one of the body's markers has its label; the marker itself is seen without one."""
+"""A reflection at this distance [m] from a marker of the body takes its label; the marker is seen without one."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
-"""Gusts of up to this speed [m/s], level, one after another, each of its own length and direction, that rise and fall
-smoothly.
+"""Horizontal gusts of up to this speed [m/s], one after another, each of random length and direction, that rise and
+fall smoothly.
 """
 
 import math
@@ -15,7 +15,7 @@ class Gusts:
     def __init__(self, peak_m_s, rng):
         self._peak_m_s, self._rng = peak_m_s, rng
         self._from_s = self._length_s = 0.0
-        self._wind_m_s = np.zeros(3)  # its part of that of now
+        self._wind_m_s = np.zeros(3)  # its share of the wind now
 
     def begin(self, vehicle, time_s):
         self._next(time_s)

@@ -1,4 +1,4 @@
-"""The Cortex host is killed, and started again when it is over."""
+"""The Cortex host is killed, and started again when the fault is over."""
 
 
 class Restart:

@@ -1,6 +1,6 @@
-"""A loose plug: nothing arrives for this share of the time, on and off as chance has it, on average every 0.2 s."""
+"""A loose plug: nothing arrives for this share of the time; random interruptions, every 0.2 s on average."""
 
-CYCLE_S = 0.2  # mean of both together
+CYCLE_S = 0.2  # mean of a silence and the time until the next one, together
 
 
 def make(severity, rng):

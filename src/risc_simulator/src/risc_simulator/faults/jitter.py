@@ -1,4 +1,4 @@
-"""Each datagram arrives later by a time of its own, uniform from 0 to this [s]; so some overtake others."""
+"""Each datagram is delayed by a random time, uniform from 0 to this [s], so that some overtake others."""
 
 
 def make(severity, rng):

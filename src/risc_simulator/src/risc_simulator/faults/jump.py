@@ -1,4 +1,4 @@
-"""The body is seen so far [m] beside where it is, level, always in the same direction."""
+"""The body is seen displaced by this distance [m], horizontally, always in the same direction."""
 
 from risc_simulator.faults._frames import changed, level_direction
 

@@ -1,4 +1,4 @@
-"""All that a vehicle hears and says arrives later by this time [s]."""
+"""All that a vehicle receives and sends arrives later by this time [s]."""
 
 from risc_simulator.faults.delay import make
 

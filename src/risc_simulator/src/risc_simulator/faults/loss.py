@@ -1,4 +1,4 @@
-"""Frames are lost with this probability, one by one."""
+"""Each frame is lost with this probability, independently of the others."""
 
 from risc_simulator.faults.drop import make
 

@@ -1,5 +1,5 @@
-"""Two markers of the body have each other's label, in each frame with this probability. Which ones: the same for all
-bodies with so many markers; always, or where it is no certainty until a frame without."""
+"""Two markers of the body exchange their labels, in each frame with this probability. The pair is the same for all
+bodies with the same number of markers; it changes after a frame without an exchange."""
 
 from risc_simulator.faults._frames import changed
 
@@ -10,7 +10,7 @@ def make(severity, rng, bodies):
     def swap(markers_m):
         count = len(markers_m)
         if severity < 1.0 and rng.random() >= severity:
-            pairs.pop(count, None)  # the next time others
+            pairs.pop(count, None)  # another pair the next time
             return markers_m
         if count not in pairs:
             pairs[count] = rng.choice(count, 2, replace=False)

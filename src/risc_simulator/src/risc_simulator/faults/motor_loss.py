@@ -1,5 +1,5 @@
-"""A motor stops. Firmware that watches for it stops the others; else the lift of the opposite rotor turns the vehicle
-over: nothing holds its roll, and to keep its balance it has half its thrust left.
+"""A motor stops. Firmware that watches for it stops the others; otherwise the lift of the opposite rotor rolls the
+vehicle over: nothing controls its roll, and half its thrust is left.
 """
 
 from dataclasses import replace
@@ -7,8 +7,8 @@ from dataclasses import replace
 from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.flight import FlightAction
 
-ARM = 0.6  # from the centre to a rotor, of the vehicle's radius
-OPEN_RAD_S = 0.1  # bandwidth of a loop that has no moment to give: as good as none
+ARM = 0.6  # from the centre to a rotor, as a fraction of the vehicle's radius
+OPEN_RAD_S = 0.1  # bandwidth of a loop without control moment: practically none
 
 
 class Loss:

@@ -1,6 +1,6 @@
-"""A vehicle and another one, of the seed's choice, have each other's name. With several meant: all of them in a ring.
+"""A vehicle and another one, chosen by the seed, exchange names. If several are named, they exchange in a ring.
 
-Of markers that one has more than the other nothing is seen.
+If one has more markers than the other, its surplus markers are not seen.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""This share of the body's markers, others in each frame, has a y that is not a number."""
+"""A random share of the body's markers, new ones in each frame, has NaN as y. Severity: that share."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A vehicle repeats what it said of itself last, with fresh sequence numbers and check sums."""
+"""A vehicle repeats its last status reports, with new sequence numbers and valid checksums."""
 
 import contextlib
 
@@ -20,11 +20,11 @@ _repeats()  # loads their modules here, not while a lab runs
 
 def make(severity, rng):
     repeats = _repeats()
-    told = {}  # what was said last, by kind of report
+    told = {}  # first report of each kind since the fault began
 
     def act(data, now_s):
         if isinstance(data, bytes):
-            for repeat in repeats:  # each leaves alone what is not of its type
+            for repeat in repeats:  # each returns data of other types unchanged
                 data = repeat(told, data)
         elif isinstance(data, tuple) and isinstance(data[0], FlightPhase):  # of a flight without sockets
             data = told.setdefault("report", data)

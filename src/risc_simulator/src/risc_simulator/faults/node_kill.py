@@ -1,5 +1,5 @@
-"""A program of the graph is killed (SIGKILL): it has no time for last orders. What starts it again is up to its launch
-file.
+"""A program of the graph is killed (SIGKILL): it cannot send final commands. Whether it is started again is up to its
+launch file.
 """
 
 

@@ -1,4 +1,4 @@
-"""A program of the graph hangs (SIGSTOP), and goes on when it is over (SIGCONT)."""
+"""A program of the graph hangs (SIGSTOP), and goes on when the fault is over (SIGCONT)."""
 
 
 class Stop:

@@ -1,4 +1,4 @@
-"""This share of the body's markers, the same for as long as it lasts, is hidden."""
+"""This share of the body's markers is hidden, the same ones for as long as the fault lasts."""
 
 import numpy as np
 

@@ -1,10 +1,10 @@
-"""The pilot of an IRIS+ lets go of the trainer switch and flies by hand, as it can be done by eye: to a stop, and so
-far [m] up or down. What the board of the transmitter sends is not received meanwhile.
+"""The pilot of an IRIS+ lets go of the trainer switch and flies by hand and eye: to a stop, and up or down by this
+height [m]. Meanwhile the channels that the transmitter's board sends are not received.
 """
 
 import math
 
-VELOCITY_S, HEIGHT_1_S2, CLIMB_1_S = 0.3, 2.0, 2.0  # stick by velocity; lift by height and climb rate
+VELOCITY_S, HEIGHT_1_S2, CLIMB_1_S = 0.3, 2.0, 2.0  # gains: stick by velocity; lift by height error and climb rate
 MOST = 0.3  # of full stick
 CLIMB_M_S = 0.3
 

@@ -1,4 +1,4 @@
-"""This share of the body's markers, others in each frame, has the x of Cortex' missing markers, y and z as they are."""
+"""A random share of the body's markers, new ones in each frame, has the x of Cortex' missing markers; y, z stay."""
 
 from risc_simulator.faults._frames import MISSING_M, overwrite
 

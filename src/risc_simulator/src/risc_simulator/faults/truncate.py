@@ -1,4 +1,4 @@
-"""With this probability a datagram lacks its end, from anywhere in it on. What has no bytes stays as it is."""
+"""With this probability a datagram is cut off at a random place. Data that is not bytes is unchanged."""
 
 
 def make(severity, rng):

@@ -1,4 +1,4 @@
-"""Air that moves with this speed [m/s], level, from a direction of the seed's, while it lasts."""
+"""Steady horizontal wind of this speed [m/s], in a direction that the seed chooses."""
 
 from risc_simulator.faults._frames import level_direction
 

@@ -1,4 +1,4 @@
-"""y points up and z to the right, as in a system that was calibrated for it."""
+"""y points up and z to the right, as in a system that was calibrated with these axes."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""With this probability a datagram of Cortex' protocol, whose first two bytes say what it is, says another thing."""
+"""With this probability the command of a datagram of Cortex (its first two bytes) is replaced by another one."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""What may be asked of a vehicle and what it says of itself: the words between hosts, world and on-board logic."""
+"""Orders to a vehicle and its states: the types shared by hosts, world and on-board logic."""
 
 import math
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ class Firmware:
     phase: FlightPhase.   command: four numbers, the first rows of the input (enum U, or as the type's own loops
     understand them).   motors_on: rotors turn.   lifted: they carry the vehicle; False while it stands.
     wake_s: from this time on wake() is called at the start of every step.
-    A type overrides what it does otherwise; apply() it must.
+    A type overrides what it does otherwise; it must override apply().
     """
 
     phase = FlightPhase.LANDED
@@ -89,10 +89,10 @@ class Firmware:
         """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""
 
     def configure(self, record):
-        """Write the constants of this vehicle into its record, an array (1,) with the FIELDS of the type, to keep."""
+        """Write the constants of this vehicle into its record, an array (1,) with the FIELDS of the type; keep it."""
 
     def tell(self):
-        """Bring what was decided into the record. Returns the command to be obeyed; None: leave the inputs alone."""
+        """Write the decisions into the record. Returns the command to be obeyed; None keeps the inputs as they are."""
         return self.command
 
     def apply(self, action, time_s, vertical_motion):
@@ -103,16 +103,16 @@ class Firmware:
         raise NotImplementedError
 
     def wake(self, time_s, vertical_motion):
-        """See wake_s."""
+        """Called at the start of every step from wake_s on."""
 
     def touch_down(self, time_s, impact_m_s):
-        """The floor is reached at this downward speed. Returns why it is a crash, or "" when it is none."""
+        """Handle contact with the floor at this downward speed. Returns why it is a crash, or "" if it is none."""
         if self.phase is not FlightPhase.FLYING:
             self.lifted = False
         return ""
 
     def crash(self, time_s):
-        """It flew into something: motors off. It falls until touch_down()."""
+        """Handle a collision: motors off. The vehicle falls until touch_down()."""
         self.phase, self.motors_on = FlightPhase.EMERGENCY, False
 
     def fly_at(self, time_s, height_m):
@@ -124,24 +124,24 @@ class Firmware:
         return 100.0
 
     def set_battery_pct(self, pct, time_s):
-        """Put in another battery."""
+        """Fit another battery, with this charge."""
 
     def weaken_battery(self, pct, time_s):
-        """A fault: the charge is this from now on."""
+        """Set the charge, as by a fault of the fitted battery."""
         self.set_battery_pct(pct, time_s)
 
     def power_cycle(self, time_s):
-        """It stands: it gets a full battery, and starts over as if just switched on."""
+        """Fit a full battery and start over, as if just switched on. The vehicle stands."""
         self.phase, self.motors_on, self.lifted = FlightPhase.LANDED, False, False
         self.command, self.wake_s = (0.0, 0.0, 0.0, 0.0), math.inf
         self.set_battery_pct(100.0, time_s)
 
     def see_floor(self, sees):
-        """Whether the floor below has a texture from now on, for a vehicle whose bottom camera needs one."""
+        """Set whether the floor below has a texture, for a vehicle whose bottom camera needs one."""
 
     def fly_by_hand(self, sticks, time_s):
-        """A pilot flies it by its own transmitter, of a vehicle that has one. sticks: roll, pitch, yaw as fractions of
-        full scale, + right, nose up, clockwise, and lift in weights; None: no more.
+        """Let a pilot fly it with its own transmitter, if it has one. sticks: roll, pitch, yaw as fractions of full
+        scale, + right, nose up, clockwise, and lift in multiples of the weight; None ends it.
         """
 
     def check_battery(self, time_s):

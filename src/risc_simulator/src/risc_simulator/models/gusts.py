@@ -1,4 +1,4 @@
-"""Air that moves by chance: people, doors, the other vehicles' downwash."""
+"""Random motion of the air: people, doors, the other vehicles' downwash."""
 
 import math
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from risc_lab.settings import NotNegative, Positive, Settings
 
 @dataclass(frozen=True)
 class Gusts(Settings):
-    """A first-order Gauss-Markov velocity of the air (Dryden-like) around each vehicle, along each axis for itself."""
+    """A first-order Gauss-Markov velocity of the air (Dryden-like) around each vehicle, independent for each axis."""
 
     speed_m_s: tuple[NotNegative, NotNegative, NotNegative] = (0.4, 0.4, 0.2)  # [m/s] 1 sigma north, east, up
-    # [m/s^2] 1 sigma of the acceleration that they give a vehicle along each axis, whatever its mass and drag are: the
-    # speed is what makes it so. None: the speed is as above
+    # [m/s^2] 1 sigma of the acceleration that they give a vehicle along each axis; the speed then follows from its mass
+    # and drag. None: the speed is as above
     push_m_s2: NotNegative | None = None
     time_s: Positive = 1.5  # [s] correlation
 
@@ -30,5 +30,5 @@ class Gusts(Settings):
         return np.full(3, self.push_m_s2 * plant.mass_kg / plant.drag_n_s_m)
 
     def keep(self, step_s):
-        """What is left of a velocity after a step."""
+        """Fraction of a velocity that remains after a step."""
         return math.exp(-step_s / self.time_s)

@@ -1,8 +1,8 @@
-"""Steps of coupled systems: a vehicle, what its type runs on board, and what is attached to it.
+"""Steps of coupled systems: a vehicle, the on-board code of its type, and the body attached to it.
 
 The functions here are plain Python in terms of the equations of one kind of system: `slope`, `couple`, `before_step`
-and `after_step`. `integrator` compiles them for a kind: copies in which the names stand for that kind's own functions,
-so that the compiler sees through all of them and a new kind costs the others nothing. With NUMBA_DISABLE_JIT=1 the
+and `after_step`. `integrator` compiles copies for a kind, in which these names stand for that kind's own functions, so
+that the compiler can optimise across all of them and a new kind costs the others nothing. With NUMBA_DISABLE_JIT=1 the
 same copies run as plain Python.
 """
 
@@ -20,7 +20,7 @@ from risc_lab.compiled import compiled
 from risc_simulator.models.quadrotor import U, X, slope
 
 REST_HEIGHT_M = 0.08  # of a vehicle's centre above the floor when it stands
-_TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
+_TOUCH_M2 = 1e-12  # rounding error of the square of a distance
 
 # --- the equations of one kind of system -----------------------------------------------------------------------------
 
@@ -29,7 +29,7 @@ ROWS = len(X)  # of its state: the vehicle's twelve, then those of the attached 
 
 @compiled
 def couple(x, vehicle, x_dot):
-    """What is attached (vehicle.body: its record): its own rows of x_dot, and its force on those of the vehicle."""
+    """The attached body (vehicle.body: its record): its rows of x_dot, and its force on the rows of the vehicle."""
 
 
 @compiled
@@ -100,7 +100,7 @@ def advance(x, u, flags, columns, vehicles, step_s, net_m):
 
 
 def differentiate(x, u, columns, vehicles, x_dot, thrust_n):
-    """x_dot (rows, n) and the demanded thrusts (n,) of the systems of this kind, written there."""
+    """Write x_dot (rows, n) and the demanded thrusts thrust_n (n,) [N] of the systems of this kind."""
     at, k = np.empty(ROWS), np.empty(ROWS)
     for c in range(len(columns)):
         i = columns[c]
@@ -153,9 +153,9 @@ class Integrator(NamedTuple):
 
 @functools.cache
 def integrator(name="quadrotor", size=0, **functions):
-    """Integrator of a kind of system. size: rows of the attached body. functions: what stands for those of these names.
+    """Integrator of a kind of system. size: rows of the attached body. functions: replacements by name.
 
-    The compiled code is kept under the name and the text of the files that the functions come from.
+    The compiled code is cached by the name and the text of the files that the functions come from.
     """
     namespace = {**globals(), **functions, "ROWS": len(X) + size}
     paths = sorted({inspect.getsourcefile(getattr(f, "py_func", f)) for f in functions.values()})

@@ -1,4 +1,4 @@
-"""What a motion-capture system sees of exact markers: noise, occlusion and markers that belong to nothing.
+"""Camera model of a motion-capture system: noise, occlusion and ghost markers are added to exact markers.
 
 All lengths in metres, all positions in the mocap frame (x forward, y left, z up).
 
@@ -44,7 +44,7 @@ class CameraParams(Settings):
 
     @classmethod
     def of_arena(cls, arena):
-        """The defaults, with a capture volume that fills an Arena as the laboratory's does its own."""
+        """The defaults, with the laboratory's capture volume scaled to an Arena."""
         known = Arena()
         size = (arena.half_x_m / known.half_x_m, arena.half_y_m / known.half_y_m, arena.height_m / known.height_m)
         corners = (tuple(k * m for k, m in zip(size, corner_m)) for corner_m in (cls.volume_min_m, cls.volume_max_m))
@@ -54,8 +54,8 @@ class CameraParams(Settings):
 class Observation(NamedTuple):
     """What the cameras report of one instant.
 
-    layout: ((body name, number of markers), ...), the same object as long as it stays the same.
-    markers_m: (n, 3), the markers of all bodies in layout order, NaN rows are lost.   unidentified_m: (u, 3).
+    layout: ((body name, number of markers), ...), the same object as long as it does not change.
+    markers_m: (n, 3), the markers of all bodies in layout order, NaN rows are lost markers.   unidentified_m: (u, 3).
     """
 
     time_s: float
@@ -78,12 +78,12 @@ class MocapCameras:
         self._hidden_until_s = np.empty(0)
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
-        self._next_end_s = math.inf  # of a ghost's life
+        self._next_end_s = math.inf  # when the next ghost disappears
         self._last_time_s = -math.inf
-        self._see(0.0, 0.0, np.empty((0, 3)))  # loads it
+        self._see(0.0, 0.0, np.empty((0, 3)))  # loads the compiled code
 
     def hide(self, body, until_s):
-        """Hide all markers of a body in the frames before until_s. Raises ValueError when the last frame had none."""
+        """Hide all markers of a body in the frames before until_s. Raises ValueError if the last frame had none."""
         start = 0
         for name, count in self._layout:
             if name == body:
@@ -120,7 +120,7 @@ class MocapCameras:
         return _see(time_s, *means, exact_m, noise, chances, self._hidden_until_s)
 
     def _unidentified(self, time_s, step_s):
-        """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""
+        """(u, 3) ghosts: each stays where it appeared, with the noise of any marker."""
         params = self.params
         if params.ghosts_hz > 0.0:
             born = self._ghost.poisson(params.ghosts_hz * step_s)

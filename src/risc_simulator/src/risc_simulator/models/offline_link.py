@@ -1,27 +1,27 @@
-"""From the driver of a vehicle to its on-board logic in flights without sockets: what a type has that says no other."""
+"""Link from a vehicle's driver to its on-board logic in flights without sockets: the default of all types."""
 
 from risc_simulator.models.flight import Setpoint
 from risc_simulator.models.radio_link import RadioLink
 
 
 class OfflineLink:
-    """A radio with slots, over which sticks go as fractions of the type's full scales: those of an AR.Drone.
+    """A slotted radio that carries sticks as fractions of the type's full scales, as of an AR.Drone.
 
-    Sticks are what the driver is told, (forward, left, up, turn_left), fractions in the senses of cmd_vel; `up` is the
-    type's. Times are the world's [s].
+    Sticks are the input of the driver, (forward, left, up, turn_left), fractions with the signs of cmd_vel; the scale
+    of `up` is the type's. Times are world times [s].
     """
 
     REPORT_PERIOD_S = 0.06  # between two reports of the vehicle
-    report_delay_s = 0.0  # of the next one, from what it tells to who hears it
+    report_delay_s = 0.0  # of the next report, from vehicle to receiver
 
     def __init__(self, vehicle, phase, noise=1.0):
-        """vehicle: world.Vehicle.  phase: of the radio's clock, a fraction.  noise: factor, of its sensors."""
+        """vehicle: world.Vehicle.  phase: of the radio's slots, a fraction of one.  noise: factor on sensor noise."""
         self.vehicle = vehicle
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
 
     def send(self, sticks, now_s, level_only=False):
-        """The driver was told these. level_only: all 0 mean level, and no hover."""
+        """Send sticks. level_only: all zeros mean level, not hover."""
         kind = self.vehicle.type
         setpoint = Setpoint(
             roll_rad=-sticks.left * kind.tilt_max_rad,
@@ -33,25 +33,25 @@ class OfflineLink:
         self._radio.submit(now_s, setpoint)
 
     def order(self, action, now_s):
-        """The driver was told a FlightAction, which takes as long as sticks."""
+        """Send a FlightAction, with the same command delay as sticks."""
         self.vehicle.schedule(now_s + self.vehicle.plant.command_delay_s, action)
 
     def deliver(self, now_s):
-        """Give the vehicle what the radio brings."""
+        """Hand the setpoints that the radio has carried to the vehicle."""
         for arrival_s, setpoint in self._radio.collect(now_s):
             self.vehicle.schedule(arrival_s, setpoint)
 
     def lose(self, now_s):
-        """The computer of the driver is gone from now on: nothing is sent any more."""
+        """The computer of the driver fails: nothing is sent from now on."""
 
     @property
     def phase(self):
-        """FlightPhase as the vehicle tells its driver."""
+        """FlightPhase as the vehicle reports it to its driver."""
         return self.vehicle.phase
 
     def report(self, now_s):
-        """(FlightPhase, charge in percent, {what its sensors say}) as the vehicle tells its driver. It flies as long as
-        one likes: 90 is told until another charge is put in. Of sensors: with the names of `risc_control.vehicles`'
-        Status.
+        """(FlightPhase, charge in percent, {sensor readings}) as the vehicle reports them to its driver. The battery
+        does not limit flights: 90 is reported until a charge is set. Readings have the names of
+        `risc_control.vehicles`' Status.
         """
         return self.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0, {}

@@ -1,6 +1,6 @@
 """The true vehicle behind the nominal one: parameters drawn around a vehicle type's values.
 
-Controllers know only the nominal type. A virtual lab flies vehicles that differ from it in all that
+Controllers know only the nominal type. A virtual lab flies vehicles that differ from it in everything that
 config/perturbed_plant.yaml names, as every real airframe does.
 """
 
@@ -18,7 +18,7 @@ MIN_DELAY_S = 0.001  # a radio link is never faster than this
 _CUT_SIGMA = 2.0
 
 MAX_THRUST_TO_WEIGHT = 1.8  # at nominal mass, full battery
-IDLE_THRUST_TO_WEIGHT = 0.1  # running rotors never stop pushing
+IDLE_THRUST_TO_WEIGHT = 0.1  # running rotors always give some thrust
 TUMBLE_DAMPING_1_S = 6.0  # air damping of hull and standing propellers
 
 
@@ -27,7 +27,7 @@ _Share = between(0.0, 0.4)  # of a value that has to stay positive at two standa
 
 @dataclass(frozen=True)
 class Spreads(Settings):
-    """config/perturbed_plant.yaml, which says what each is."""
+    """Content of config/perturbed_plant.yaml, which explains each field."""
 
     mass: _Share
     thrust: _Share
@@ -52,21 +52,21 @@ def spreads():
 
 @dataclass(frozen=True)
 class PlantParams(Settings):
-    """What one vehicle really is. Loops mean what they mean in VehicleType."""
+    """True parameters of one vehicle. Loops are as in VehicleType."""
 
     mass_kg: Positive
-    nominal_mass_kg: Positive  # what its own climb loop believes in
+    nominal_mass_kg: Positive  # the mass that its own climb loop assumes
     inertia_kg_m2: tuple[Positive, Positive, Positive]
     thrust_scale: Positive  # true thrust / demanded thrust
     roll: AttitudeLoop
     pitch: AttitudeLoop
     yaw_rate_time_constant_s: Positive
     climb_time_constant_s: Positive
-    command_delay_s: NotNegative  # from sending to effect, beside the wait for the radio slot
+    command_delay_s: NotNegative  # from sending to effect, without the wait for the radio slot
     drag_n_s_m: NotNegative  # linear drag force per velocity relative to the air
-    roll_level_rad: float  # angle that it comes to when it is told to be level
+    roll_level_rad: float  # angle that it reaches when it is commanded to be level
     pitch_level_rad: float
-    climb_scale: Positive  # climb rate that its own sensors tell: scale * true one + bias
+    climb_scale: Positive  # climb rate as its own sensors measure it: scale * true one + bias
     climb_bias_m_s: float
     thrust_min_n: NotNegative
     thrust_max_n: Positive
@@ -92,14 +92,14 @@ def nominal_plant(vehicle_type):
 def draw_plant(vehicle_type, rng, perturbed=True):
     """PlantParams of one vehicle of this type.
 
-    rng: numpy Generator of this vehicle alone, so that a draw does not depend on who else flies.
+    rng: numpy Generator of this vehicle alone, so that a draw does not depend on the other vehicles.
     perturbed=False gives the nominal vehicle (the generator is not used).
     """
     plant = nominal_plant(vehicle_type)
     if not perturbed:
         return plant
     spread = spreads()
-    mass, thrust, roll, pitch, drag, delay = _draws(rng, 6)  # the order is part of what a seed means
+    mass, thrust, roll, pitch, drag, delay = _draws(rng, 6)  # the order is fixed: a seed must give the same plants
     roll_damping, pitch_damping, roll_gain, pitch_gain, yaw_rate, climb = _draws(rng, 6)
     roll_level, pitch_level, climb_scale, climb_bias = _draws(rng, 4)
     return replace(

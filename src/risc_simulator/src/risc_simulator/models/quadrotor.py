@@ -2,10 +2,10 @@
 
 State (12, n): one row per quantity (enum X), one column per vehicle. Position is North, East, Up; velocity is in body
 axes (forward, right, down); angles are NED Euler angles (roll + right wing down, pitch + nose up, yaw + clockwise from
-above). Input (9, n): enum U. What a vehicle is: a record that has QUADROTOR_FIELDS among others.
+above). Input (9, n): enum U. Parameters of a vehicle: a record that has QUADROTOR_FIELDS among others.
 
 The loops: commanded angle c gives angle'' = wn^2 (gain c + level - angle) - 2 zeta wn angle', level being the error of
-what the vehicle takes for level; yaw rate and vertical speed follow their commands as first-order lags.
+the vehicle's own level; yaw rate and vertical speed follow their commands as first-order lags.
 """
 
 import math
@@ -39,7 +39,7 @@ class U(IntEnum):
     PITCH = 1  # [rad] commanded pitch angle
     YAW_RATE = 2  # [rad/s] commanded yaw rate, + clockwise from above
     CLIMB = 3  # [m/s] commanded vertical speed, + up
-    CLIMB_TRIM = 4  # [m/s^2] what the slow on-board integral adds to the vertical acceleration
+    CLIMB_TRIM = 4  # [m/s^2] added to the vertical acceleration by the slow on-board integral
     MOTORS = 5  # 1: running, the loops are closed; 0: stopped, no thrust and no moments
     WIND_N = 6  # [m/s] velocity of the air
     WIND_E = 7
@@ -51,7 +51,7 @@ QUADROTOR_FIELDS = (  # floats, see risc_lab.compiled.record; those of the true 
     "roll_natural_frequency_rad_s roll_damping_ratio roll_gain roll_level_rad",
     "pitch_natural_frequency_rad_s pitch_damping_ratio pitch_gain pitch_level_rad",
     "yaw_rate_time_constant_s climb_time_constant_s drag_n_s_m",
-    "climb_scale climb_bias_m_s",  # climb rate that its own sensors tell: scale * true one + bias
+    "climb_scale climb_bias_m_s",  # climb rate as its own sensors measure it: scale * true one + bias
     "thrust_min_n thrust_max_n",  # range of the demanded thrust while the motors run
     "tumble_damping_1_s",  # air damping of the body rates while the motors stand
 )
@@ -67,7 +67,7 @@ def slope(x, inputs, body, x_dot):
 
 @compiled
 def climb_thrust(x, inputs, body):
-    """The climb loop: thrust [N], within the motors' range, that gives a vehicle as it should be its acceleration."""
+    """The climb loop: thrust [N], within the motors' range, that gives a nominal vehicle the wanted acceleration."""
     sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
     st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
     climb_m_s = x[X.U] * st - x[X.V] * sf * ct - x[X.W] * cf * ct
@@ -81,13 +81,13 @@ def climb_thrust(x, inputs, body):
 
 @compiled
 def felt_climb(climb_m_s, body):
-    """Climb rate [m/s] that the vehicle's own sensors tell of a true one."""
+    """Climb rate [m/s] as the vehicle's own sensors measure it."""
     return body.climb_scale * climb_m_s + body.climb_bias_m_s
 
 
 @compiled
 def motion(x, inputs, body, thrust_n, x_dot):
-    """x_dot (12,) under a thrust that is demanded [N], with the attitude loops."""
+    """x_dot (12,) under a demanded thrust [N], with the attitude loops."""
     u, v, w = x[X.U], x[X.V], x[X.W]
     phi, theta, psi = x[X.PHI], x[X.THETA], x[X.PSI]
     p, q, r = x[X.P], x[X.Q], x[X.R]
@@ -138,7 +138,7 @@ def motion(x, inputs, body, thrust_n, x_dot):
 
 @compiled
 def level_motion(x):
-    """Climb rate, and velocity forward and to the right along the heading, level [m/s], of a state (12,)."""
+    """Climb rate, and horizontal velocity forward and to the right of the heading [m/s], of a state (12,)."""
     u, v, w, phi, theta = x[X.U], x[X.V], x[X.W], x[X.PHI], x[X.THETA]
     down2 = math.sin(phi) * v + math.cos(phi) * w  # along the down axis of frame vehicle-2
     climb = math.sin(theta) * u - math.cos(theta) * down2
@@ -149,7 +149,7 @@ def level_motion(x):
 
 @compiled
 def push(x, vehicle, north_n, east_n, up_n, x_dot):
-    """What a force [N] at the vehicle's centre adds to its x_dot."""
+    """Add the effect of a force [N] at the vehicle's centre to its x_dot."""
     sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
     st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
     sp, cp = math.sin(x[X.PSI]), math.cos(x[X.PSI])

@@ -1,7 +1,7 @@
 """Command link of a vehicle: a rate limit, a delay and losses between what is sent and what the vehicle obeys.
 
 The link carries one item per slot of 1/rate_hz; of several items in one slot only the newest survives, because that is
-what a vehicle makes of progressive commands.  An item leaves at the end of its slot and arrives delay_s later.
+how a vehicle treats progressive commands.  An item leaves at the end of its slot and arrives delay_s later.
 Events that must not be overtaken (take-off, land, emergency) are submitted with must_arrive: all of them are kept, in
 order, and a lost slot only makes them late, as it does for commands that the client repeats.
 """
@@ -29,7 +29,7 @@ class RadioLink:
         self._rng = rng
         self._phase_s = phase_s
         self._pending = []  # entries in order of submission
-        self._collected_s = -math.inf  # what has ended by then is closed
+        self._collected_s = -math.inf  # slots that ended by then are closed
 
     def submit(self, time_s, item, must_arrive=False):
         """Hand an item over at time_s (not decreasing from call to call)."""
@@ -69,7 +69,7 @@ class RadioLink:
         return delivered
 
     def clear(self):
-        """Let nothing arrive of what was submitted."""
+        """Drop all submitted items that were not collected yet."""
         self._pending = []
 
     def _slots_ended(self, time_s):

@@ -20,14 +20,14 @@ from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBac
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings
 from risc_simulator.virtual_lab import LabOptions
 
-_ANSWER_S = 2.0  # within which the lab, which is busy with a frame, has carried out an order
+_ANSWER_S = 2.0  # within this time the lab, which may be busy with a frame, carries out an order
 _DEG_PER_RAD = math.degrees(1.0)
 
 
 def load_options():
     """LabOptions of the private parameters. Raises ValueError that names the key."""
     subnet = rospy.get_param("~subnet", "")
-    if not isinstance(subnet, str):  # a command line makes the number 127.8 of 127.80: what was meant is lost
+    if not isinstance(subnet, str):  # a command line turns 127.80 into the number 127.8: the original text is lost
         raise ValueError(
             "parameter ~subnet must be a text, found %r: quote it twice on a command line (_subnet:=\"'...'\"), and "
             'give it type="str" in a launch file' % (subnet,)
@@ -37,7 +37,7 @@ def load_options():
 
 
 def make_lab(options):
-    """The lab that they describe. Raises ValueError or OSError."""
+    """VirtualLab of LabOptions. Raises ValueError or OSError."""
     fleet = load_fleet(options.fleet) if options.fleet else known_fleet()
     if fleet is None:
         raise ValueError("no fleet: set ~fleet to the path of a fleet file, or load one as the parameter /fleet")
@@ -86,7 +86,7 @@ def _event_of(request):
 
 
 def _answer(order, argument):
-    """(True, what an order says), or (False, why it raised ValueError)."""
+    """Carry out an order: (True, its text), or (False, text of its ValueError)."""
     try:
         text = order(argument)
     except ValueError as error:
@@ -96,14 +96,14 @@ def _answer(order, argument):
 
 
 class VirtualLabNode:
-    """Runs the lab in the main thread; callbacks only leave orders for it."""
+    """Runs the lab in the main thread; callbacks only queue orders for it."""
 
     def __init__(self, lab):
         self._lab = lab
         self._orders = queue.SimpleQueue()
         self._last_crash = None
         self._fault_changes = -1  # of the injector
-        self._open_faults, self._newest_fault = set(), 0  # ids, as told last: of those that are not over; the greatest
+        self._open_faults, self._newest_fault = set(), 0  # ids at the last publication: of open faults; the greatest
         self._growth = Growth()
 
         self._vehicles = list(lab.world.vehicles.values())
@@ -130,7 +130,7 @@ class VirtualLabNode:
         rospy.Subscriber("~board", WaveBoard, self._on_board, queue_size=10, tcp_nodelay=True)
 
     def after_frame(self):
-        """Carry out orders, then tell the truth about the frame that has just gone out."""
+        """Carry out orders, then publish the events and the ground truth of the frame that was just sent."""
         while not self._orders.empty():
             order, arguments = self._orders.get_nowait()
             try:
@@ -178,10 +178,10 @@ class VirtualLabNode:
                 raise
 
     def _publish_faults(self):
-        """Those that wait or act, and those that have ended since the last time."""
+        """Publish the faults that wait or act, and those that have ended since the last time."""
         injector, before = self._lab.injector, self._open_faults
         active, self._open_faults = ({record.id for record in records} for records in (injector.active, injector.open))
-        new = range(self._newest_fault + 1, len(injector.history) + 1)  # the history of a weekend is long
+        new = range(self._newest_fault + 1, len(injector.history) + 1)  # not all: the history of a weekend is long
         numbers = sorted({*before, *self._open_faults, *new})
         told = [self._fault_record(injector.history[number - 1], number in active) for number in numbers]
         self._newest_fault = len(injector.history)
@@ -197,7 +197,7 @@ class VirtualLabNode:
         return FaultRecord(record.id, event.fault, event.args, event.vehicle, begins, ends, is_active, safe)
 
     def _on_inject(self, request):
-        """Whatever takes time is done here, in the service's own thread: files are read, modules imported."""
+        """Do what takes time here, in the service's own thread: read files, import modules."""
         try:
             event = _event_of(request) if request.fault else None
         except ValueError as error:
@@ -210,7 +210,7 @@ class VirtualLabNode:
         return PutBackResponse(done, text)
 
     def _carry_out(self, order, argument):
-        """(whether it is done, what is done or why not) of a method that the lab's thread calls and that says so."""
+        """Let the lab's thread call order(argument). Returns (whether it was done, what was done or why not)."""
         answer = queue.SimpleQueue()
         self._orders.put((lambda: answer.put(_answer(order, argument)), ()))
         try:

@@ -1,26 +1,26 @@
-"""Vehicle types, virtual side: each is a module (or a package) here, under the name that fleet files call the type.
+"""Vehicle types, virtual side: each is a module (or a package) here, with the name that the type has in fleet files.
 
 A type is a module with
     Firmware    its on-board logic, a models.flight.Firmware: actions in, commands of the loops out
-    Host        what it is on the wire, a socket_host.VehicleHost: commands in; sensors, status and pictures out
-and, compiled (risc_lab.compiled), where it differs from a plain quadrotor (models/integrator.py has these names, too)
-    FIELDS      (name, type) of what its equations read from a record beside models.quadrotor.QUADROTOR_FIELDS
+    Host        its network side, a socket_host.VehicleHost: commands in; sensors, status and pictures out
+and, compiled (risc_lab.compiled), where it differs from a plain quadrotor (defaults: models/integrator.py)
+    FIELDS      (name, type) of record fields that its equations need beside models.quadrotor.QUADROTOR_FIELDS
     slope       (x, inputs, vehicle, x_dot) -> thrust: equations of motion with its attitude loops
     before_step (x, inputs, vehicle), after_step (inputs, climb_m_s, vehicle, step_s): what runs on board in every step
 and, if it has cameras whose video the lab serves (socket_host.VehicleHost.video_listener),
     CAMERAS     a `VirtualCamera` for each, in the order of the channels that its host chooses from
-and, if filters are to have its sensors' readings in offline flights, too
-    Telemetry   (vehicle, seed, noise), made while the vehicle stands: channel (name of its wire), period_s;
-                packet(time_s) -> bytes; message(packet, header) -> that of its driver, see risc_estimation.sensors;
-                None of a damaged packet
-and, if in offline flights its driver is another one than that of models/offline_link.py (sticks by radio),
-    OfflineLink (vehicle, phase), with the names that are there
-and, if a fault is to freeze what it says of itself (navdata_freeze),
-    repeated    (told, datagram) -> datagram with the content of the first one of its kind, which told, a dict, keeps;
-                fresh sequence number, check sum that fits. Anything else is returned as it is
+and, if filters are to get its sensor readings in offline flights, too,
+    Telemetry   (vehicle, seed, noise), constructed while the vehicle stands: channel (name of its wire), period_s;
+                packet(time_s) -> bytes; message(packet, header) -> message of its driver (see risc_estimation.sensors),
+                None for a damaged packet
+and, if its driver in offline flights is not that of models/offline_link.py (sticks by radio),
+    OfflineLink (vehicle, phase), with the same names as there
+and, if a fault is to freeze its reports (navdata_freeze),
+    repeated    (told, datagram) -> datagram with the content of the first one of its kind, which told, a dict, keeps,
+                its own sequence number, and a valid checksum. Other data is returned unchanged
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types), and so are those that no
-other type has (`own_numbers` of risc_lab.lab.vehicle_types). One from elsewhere is virtual_vehicles/NAME.py and
-vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
+other type has (`own_numbers` of risc_lab.lab.vehicle_types). A type from outside this package is
+virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
 
 import functools
@@ -37,17 +37,17 @@ _EQUATIONS = ("slope", "before_step", "after_step")
 
 
 class VirtualCamera(NamedTuple):
-    """A camera of a type of vehicle. Its pictures have the size that its calibration says."""
+    """A camera of a vehicle type. The size of its pictures is that of its calibration."""
 
     name: str
     calibration: str  # see lab.calibration.resolve_url
     mount: CameraMount
-    sensor_px: tuple[int, int] | None = None  # of a sensor that is coarser, whose pictures firmware scales up
-    by_fleet: bool = False  # a fleet file may give a vehicle another calibration and mount: its one camera of this kind
+    sensor_px: tuple[int, int] | None = None  # of a coarser sensor, whose pictures the firmware scales up
+    by_fleet: bool = False  # a fleet file may replace calibration and mount; at most one camera of a type
 
 
 class VirtualType(NamedTuple):
-    """What the world and the lab know of a type."""
+    """Definition of a type, as the world and the lab use it."""
 
     Firmware: type
     Host: type

@@ -1,7 +1,8 @@
-"""The camera process of the virtual lab: draws and codes the pictures that the lab orders (see server.py), one by one.
+"""The camera process of the virtual lab: draws and encodes the pictures that the lab orders (see server.py).
 
-It is a process of its own so that the lab keeps its 5 ms schedule: pictures give way to flight. Orders come pickled by
-a socket, pictures go back in PaVE. Without orders it sleeps; it ends with the socket, so it never outlives the lab.
+It is a separate process so that the lab keeps its 5 ms schedule: flight takes precedence over pictures. Orders come
+one by one, pickled, by a socket; pictures go back in PaVE. Without orders it sleeps; it ends with the socket, so it
+never outlives the lab.
 """
 
 import contextlib
@@ -64,7 +65,7 @@ class Eye:
 
     @functools.cached_property
     def _renderer(self):
-        """Made when it is needed: 10 MB and 30 ms, and most cameras of a large fleet are never looked through."""
+        """Made on first use: it takes 10 MB and 30 ms, and most cameras of a large fleet are never used."""
         return Renderer(self.camera, self._scene, self._seed)
 
     @functools.cached_property
@@ -87,7 +88,7 @@ class Eye:
 
 
 class Cameras:
-    """The cameras of one vehicle, and what codes the pictures of the one that is looked through."""
+    """The cameras of one vehicle, and the encoder of the one in use."""
 
     def __init__(self, index, fleet_vehicle, scene, seed):
         self._eyes = [

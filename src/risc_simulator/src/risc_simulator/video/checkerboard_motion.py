@@ -1,7 +1,7 @@
 """A virtual checkerboard that is moved in front of a virtual camera, so that the camera can be calibrated.
 
-The board goes from one posture to the next and is held still there for a moment, as a person does it. Board axes: x
-along a row of inner corners, y along a column, z away from who looks at the board; the origin is the board's middle.
+The board goes from one posture to the next and is held still there for a moment, as a person does. Board axes: x
+along a row of inner corners, y along a column, z away from the viewer; the origin is the board's middle.
 """
 
 import itertools
@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from risc_simulator.video.scene import CORNERS, Board, subdivided
 
-# The postures: everywhere in the picture, turned to every side, near and far. Near and strongly tilted boards tell the
-# principal point from a turn of the camera, upright ones in the corners tell the distortion.
+# The postures: everywhere in the picture, turned to every side, near and far. Near and strongly tilted boards separate
+# the principal point from a rotation of the camera, upright ones in the corners determine the distortion.
 _ENDS = (0.0, 0.5, 1.0)  # fractions of the picture's width and height
 _SIZES = ((1.0, 50.0), (0.7, 55.0), (0.35, 25.0))  # board's width / picture's width, tilt [deg]
 POSTURES = [  # (place, direction of the axis of the tilt [deg] from the picture's x to its y, width, tilt [deg])
@@ -31,7 +31,7 @@ MOVE_S = 0.8  # from one to the next
 
 
 class Waving:
-    """The motion of one board in front of one camera; it repeats after `period_s`. Held, it is whole in the picture."""
+    """The motion of one board in front of one camera; it repeats after `period_s`. Held, it is entirely in view."""
 
     def __init__(self, camera, columns=8, rows=6, square_m=0.025):
         """camera: risc_lab.camera.Camera. columns, rows: inner corners. ValueError when a posture does not fit."""
@@ -83,7 +83,7 @@ class Waving:
             yield self._fitting(np.array(place), width, turn), turn
 
     def _fitting(self, place, width, turn):
-        """Centre (3,) [m] of the largest board, and then the outermost, that is whole in the picture."""
+        """Centre (3,) [m] of the largest board, and then the outermost, that is entirely in the picture."""
         camera, (columns, _, square_m) = self._camera, self._shape
         size = np.array([camera.width_px, camera.height_px])
         focal_px = np.sqrt(camera.K[0, 0] * camera.K[1, 1])

@@ -1,4 +1,4 @@
-"""Pictures to what an AR.Drone 2.0 sends: H.264 baseline, coded 640 x 368, one slice group a frame, no B frames."""
+"""Encodes pictures as an AR.Drone 2.0 does: H.264 baseline, coded 640 x 368, one slice group a frame, no B frames."""
 
 from fractions import Fraction
 

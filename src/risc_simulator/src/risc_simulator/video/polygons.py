@@ -1,4 +1,4 @@
-"""Polygons, many at once: cutting them at planes, and how much of each pixel they cover; compiled scalar code."""
+"""Polygons, many at once: clipping at planes, and how much of each pixel they cover; compiled scalar code."""
 
 import math
 
@@ -9,13 +9,13 @@ from risc_lab.compiled import compiled
 
 @compiled
 def clip_polygons(points, counts, planes):
-    """Cut convex or concave polygons to the inner side of planes (Sutherland-Hodgman).
+    """Clip convex or concave polygons to the inner side of planes (Sutherland-Hodgman).
 
     points: (n, 3) corners, one polygon after the other. counts: (p,) corners of each; two make a line.
     planes: (k, 4) normal and offset; inside is normal . point + offset >= 0.
     Returns (points, counts): polygons with nothing left have count 0. A line's ends are the first two of its points.
     """
-    room = 2 ** len(planes)  # a plane makes half as many corners more, at most
+    room = 2 ** len(planes)  # a plane adds half as many corners at most
     cut = np.empty((2, room * (counts.max() if len(counts) else 0), 3))
     result, new_counts = np.empty((room * len(points), 3)), np.zeros_like(counts)
     first = total = 0

@@ -3,7 +3,7 @@
 A picture is made in three steps: the room, drawn straight into the distorted picture; the things in it (landmarks,
 vehicles, boards), from far to near, each blended in by the exact share of every pixel that it covers; the sensor
 (lens blur, vignette, light, noise). Motion blur is the mean over several moments of the exposure: every thing is
-drawn at as many as its motion needs; the room at few, and the rest of its motion is a shift that all pixels share.
+drawn at as many as its motion needs; the room at few, and the rest of its motion is a shift common to all pixels.
 Brightness is linear in the pixel values, which saturate at 255.
 
 Simplifications: the net is behind everything (cameras are inside it); things do not cast shadows; other vehicles'
@@ -18,21 +18,21 @@ from risc_simulator.video.scene import room_layers
 
 NEAR_M = 0.05  # nothing is drawn nearer to the focal plane than this
 _MARGIN = 0.1  # of the picture's size in normalised coordinates: how far things are drawn beyond its border
-_SHIFT = 6  # binary digits of a pixel that OpenCV's drawing functions get
+_SHIFT = 6  # fractional bits of pixel coordinates for OpenCV's drawing functions
 _FURTHEST_PX = 16000.0  # their coordinates are 16 bit in places
 _THING_STEP_PX = 1.0  # motion between two moments at which things are drawn; a pixel's own width hides it
 _MAX_THING_MOMENTS = 24
 _ROOM_STEP_PX = 1.5  # the same for the room, for that part of the motion that differs across the picture
 _MAX_ROOM_MOMENTS = 4
 _MAX_SHIFT_LEVELS = 5
-_STRIP_ROWS = 60  # of the picture that the sensor works on at once: they stay in the processor's cache
+_STRIP_ROWS = 60  # of the picture that the sensor processes at once: they stay in the processor's cache
 _PLANCK_K = 0.014388  # second radiation constant [m K]
 _WAVELENGTHS_M = np.array([460e-9, 540e-9, 610e-9])  # of a sensor's blue, green and red
 _DAYLIGHT_K = 6500.0
 
 
 def noise_tile(seed=0, width_px=1024, height_px=512):
-    """White noise (h, w, 3) of unit deviation, larger than any picture, of which each picture takes another part."""
+    """White noise (h, w, 3) of unit deviation, larger than any picture; each picture takes a random part of it."""
     return np.random.default_rng(seed).standard_normal((height_px, width_px, 3), dtype=np.float32)
 
 
@@ -53,7 +53,7 @@ class Renderer:
         self._noise = noise
         self._light = _light_map(size, self.imaging)
         self._gain, self._brightness = 1.0, self._light
-        # kept from picture to picture: new memory of this size costs as much as the work in it
+        # reused for all pictures: allocating memory of this size costs as much as the work in it
         self._canvas, self._paint = (np.empty((size[1], size[0], 3), np.uint8) for _ in range(2))
         self._exposed, self._grain = (np.zeros((_STRIP_ROWS, size[0], 3), np.float32) for _ in range(2))
 
@@ -72,7 +72,7 @@ class Renderer:
             ]
         )
         self._frustum /= np.linalg.norm(self._frustum[:, :3], axis=1, keepdims=True)
-        # beyond this radius, outside the picture, points are kept at it: the distortion might fold them back
+        # points beyond this radius, outside the picture, are moved to it: the distortion might fold them back
         reach = np.linalg.norm(border, axis=1).max()
         self._radius_limit = min((1.0 + 2.0 * _MARGIN) * reach, 0.999 * camera.radius_limit)
         grid = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, 4), np.linspace(0, size[1] - 1, 3)), axis=-1)
@@ -144,7 +144,7 @@ class Renderer:
     # things
 
     def _things(self, pose, vehicles, boards):
-        """[(thing, its Layers)] of those that may be seen, from far to near."""
+        """[(thing, its Layers)] of the things that may be visible, from far to near."""
         things = [*self.scene.discs, *self.scene.props, *vehicles, *boards]
         if not things:
             return []
@@ -198,7 +198,7 @@ class Renderer:
             paint = self._paint[: y1 - y0, : x1 - x0]
             _fill(paint, layer.bgr)
             cv2.blendLinear(paint, below, mask, 1.0 - mask, dst=below)
-        else:  # where it covers a part of a pixel, its ground covers that part and not the rest in proportion
+        else:  # not blended: the part of a pixel that it covers was its ground, whatever the rest of the pixel is
             change = mask[:, :, None] * np.subtract(layer.bgr, layer.ground_bgr).astype(np.float32)
             cv2.add(below, change, dst=below, dtype=cv2.CV_8U)
 
@@ -259,7 +259,7 @@ class Renderer:
         return ends[1] - ends[0]
 
     def _pixels(self, points, pose):
-        """Pixels (n, 2) of points (n, 3) in camera axes in front of the near plane; those far outside keep near.
+        """Pixels (n, 2) of points (n, 3) in camera axes in front of the near plane; far outside ones are limited.
 
         The same model as Camera.project, without OpenCV's derivatives, which take most of its time.
         """
@@ -330,7 +330,7 @@ def _convex_hull(pixels):
 
 
 def _fixed_point(pixels):
-    """(n, 2) int32 as OpenCV's drawing functions want them with _SHIFT."""
+    """Pixels (n, 2) as int32, as OpenCV's drawing functions take them with _SHIFT."""
     return np.round(np.clip(pixels, -_FURTHEST_PX, _FURTHEST_PX) * (1 << _SHIFT)).astype(np.int32)
 
 
@@ -355,7 +355,7 @@ def _smear(picture, motion_px):
 
 
 def _border(size_px):
-    """Pixels (n, 2) around the picture."""
+    """Pixels (n, 2) along the border of the picture."""
     width, height = size_px
     x, y = np.linspace(-0.5, width - 0.5, 33), np.linspace(-0.5, height - 0.5, 17)
     sides = [(x, np.full(33, y[0])), (x, np.full(33, y[-1])), (np.full(17, x[0]), y), (np.full(17, x[-1]), y)]
@@ -363,7 +363,7 @@ def _border(size_px):
 
 
 def _light_map(size_px, imaging):
-    """What each pixel's value is multiplied by (h, w, 3) float32: vignette and colour of the light."""
+    """Factors (h, w, 3) float32 of the pixels' values: vignette and colour of the light."""
     width, height = size_px
     x, y = np.meshgrid(np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1))
     radius = (x * x + y * y) / (0.25 * (width * width + height * height))
@@ -372,7 +372,7 @@ def _light_map(size_px, imaging):
 
 
 def light_colour(temperature_k):
-    """Factors (3,) of blue, green and red in light of a temperature against 6500 K, green kept (Planck's law)."""
+    """Factors (3,) of blue, green and red in light of a temperature relative to 6500 K; green: 1 (Planck's law)."""
     radiance = np.expm1(_PLANCK_K / (_WAVELENGTHS_M * _DAYLIGHT_K)) / np.expm1(
         _PLANCK_K / (_WAVELENGTHS_M * temperature_k)
     )

@@ -4,7 +4,7 @@ Everything is flat polygons in the cortex frame [m] (x forward, y left, z up), o
 Colours are BGR 0..255; in settings, and so in config/scene.yaml, they are OpenCV's HSV.
 
 A thing (Disc, Board, Prop, VehiclePose) has
-    sphere(scene)         centre (3,) and radius [m] of a sphere that holds it
+    sphere(scene)         bounding sphere: centre (3,) and radius [m]
     layers(scene, eye_m)  its Layers, as seen from a place (3,), in painter's order
 """
 
@@ -21,9 +21,9 @@ from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Fraction, Meta, Positive, Settings, between, settings_from
 
-CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
+CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % too small, corrected below
 _CIRCLE_GAIN = math.sqrt(2.0 * math.pi / CIRCLE_POINTS / math.sin(2.0 * math.pi / CIRCLE_POINTS))  # for the true area
-_MAX_EDGE = 0.5  # long edges are cut: a straight line is not straight in a distorted picture [m]; [squares] of boards
+_MAX_EDGE = 0.5  # [m], boards: [squares]; longer edges are divided, as a distorted picture bends straight lines
 CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])  # of a square
 
 Bgr = tuple[float, float, float]
@@ -33,7 +33,7 @@ Hsv = tuple[Annotated[float, Meta(ge=0.0, lt=180.0)], between(0.0, 255.0), betwe
 class Layer(NamedTuple):
     """Outlines of one colour. A solid's outline is the convex hull of its points in the picture.
 
-    ground_bgr: colour of the layer before, when this one is painted on it: it never reaches beyond. None: on its own.
+    ground_bgr: colour of the layer before, if this one is painted on it and lies within it. None: it stands alone.
     """
 
     outlines: list  # of (n, 3) [m], cortex frame
@@ -44,7 +44,7 @@ class Layer(NamedTuple):
 
 @dataclass(frozen=True)
 class Disc:
-    """A landmark: a flat two-colour disc, painted on the side that its normal points away from."""
+    """A landmark: a flat two-colour disc, painted on the side towards which its normal points."""
 
     name: str
     centre_m: tuple[float, float, float]  # cortex frame
@@ -55,7 +55,7 @@ class Disc:
     ring_diameter_m: float = 0.30  # outer
 
     def outline(self, diameter_m):
-        """Corners (CIRCLE_POINTS, 3) [m], cortex frame, of a circle around the centre, with a circle's area."""
+        """Corners (CIRCLE_POINTS, 3) [m], cortex frame, of a polygon around the centre with the area of the circle."""
         across, upward = plane_axes(self.normal)
         angles = np.arange(CIRCLE_POINTS) * (2.0 * math.pi / CIRCLE_POINTS)
         radius_m = 0.5 * diameter_m * _CIRCLE_GAIN
@@ -136,7 +136,7 @@ class VehiclePose:
     name: str
     position_m: np.ndarray  # (3,) centre, cortex frame
     R_body_to_cortex: np.ndarray  # (3, 3); body axes: x nose, y right wing, z belly
-    colour: int | None = None  # number of the hull; None: as the scene says, else the first
+    colour: int | None = None  # index of the hull; None: that of the scene, else the first
 
     def sphere(self, scene):
         return self.position_m, scene.style.hulls.radius_m
@@ -185,7 +185,7 @@ class HullColour(Settings):
 
 @dataclass(frozen=True)
 class HullParams(Settings):
-    """Shape of a vehicle's hull, four rotor shrouds around a body, and the colours that there are."""
+    """Shape of a vehicle's hull, four rotor shrouds around a body, and the available colours."""
 
     diameter_m: between(0.01, 2.0)  # of a shroud
     offset_m: between(0.01, 2.0)  # of a shroud's centre from the vehicle's, along nose and wing
@@ -201,7 +201,7 @@ class HullParams(Settings):
 
     @property
     def radius_m(self):
-        """Of the sphere around the vehicle's centre that holds everything."""
+        """Radius of the sphere around the vehicle's centre that holds everything."""
         return math.sqrt(2.0) * self.offset_m + 0.5 * self.diameter_m + self.height_m
 
     @functools.cached_property
@@ -262,13 +262,13 @@ class Panel(Settings):
 class RoomParams(Settings):
     """The room around the arena: four walls, a floor of tiles, a ceiling with lamps, the net, things on the walls."""
 
-    half_x_m: Positive  # with the laboratory's net; another arena moves the walls by as much as its net
+    half_x_m: Positive  # with the laboratory's net; in another arena the walls move with the net
     half_y_m: Positive
     height_m: Positive
     tile_m: between(0.1, 100.0)
     floor: Hsv
     floor_tiles: Hsv  # every second tile
-    marks: between(0, 2000)  # wear marks on the arena's floor, half of them dark: what a camera sees move
+    marks: between(0, 2000)  # wear marks on the arena's floor, half of them dark: texture by which a camera sees motion
     mark_m: between(0.001, 1.0)  # length of the largest
     dark_marks: Hsv
     light_marks: Hsv
@@ -298,14 +298,14 @@ class ImagingParams(Settings):
     rolling_s: between(0.0, 0.1)  # first row's exposure to the last row's; 0: all rows at once
     defocus_px: between(0.0, 5.0)  # standard deviation of the lens' blur
     vignette: between(0.0, 0.9)  # how much darker the corners are than the middle
-    temperature_k: between(2000.0, 20000.0)  # of the light that the sensor does not correct; 6500: colours as painted
+    temperature_k: between(2000.0, 20000.0)  # of the light, which the sensor does not correct; 6500: colours as painted
     read_noise: between(0.0, 30.0)  # standard deviation without light [levels]
     shot_noise: between(0.0, 2.0)  # deviation = shot_noise * sqrt(level)
 
 
 @dataclass(frozen=True)
 class Style(Settings):
-    """Content of config/scene.yaml: what the cameras see, apart from what is where."""
+    """Content of config/scene.yaml: the looks of what the cameras see, without the places of landmarks and vehicles."""
 
     paints: dict[str, Hsv]  # of landmarks
     disc_backs: Hsv  # landmarks from behind
@@ -320,7 +320,7 @@ class Style(Settings):
         return load_landmark_catalogue()
 
     def disc(self, template, position_m, normal):
-        """Disc of a landmark. Raises ValueError for one that is not known, and for a paint that is not."""
+        """Disc of a landmark. Raises ValueError for an unknown landmark or paint."""
         kinds = {kind.name: kind for kind in self.catalogue.landmarks}
         if template not in kinds:
             raise ValueError(
@@ -359,14 +359,14 @@ class Scene:
 
 
 def normal_of_facing(facing_rad):
-    """Unit vector (3,), cortex frame, that looks level along a yaw angle as States.psi: + clockwise, 0 = along +x."""
+    """Horizontal unit vector (3,), cortex frame, along a yaw angle as States.psi: + clockwise, 0 = along +x."""
     return math.cos(facing_rad), -math.sin(facing_rad), 0.0
 
 
 def plane_axes(normal):
-    """Two unit vectors (3,), cortex frame: right and up as seen by somebody whom the plane's normal points at.
+    """Two unit vectors (3,), cortex frame: right and up as seen by a viewer at whom the plane's normal points.
 
-    A level plane has no up; then +x serves.
+    For a horizontal plane, up is +x.
     """
     normal = np.asarray(normal, dtype=float)
     hint = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
@@ -413,7 +413,7 @@ def load_style(path=None):
 
 
 class RoomLayer(NamedTuple):
-    """What never moves, of one colour: outlines (n, 3) [m] of polygons, or lines (2, 3)."""
+    """Static parts of one colour: outlines (n, 3) [m] of polygons, or lines (2, 3)."""
 
     bgr: Bgr
     outlines: list

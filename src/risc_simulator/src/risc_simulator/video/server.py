@@ -1,6 +1,6 @@
 """The video of the virtual lab: when pictures are taken, and the clients of each vehicle's TCP port for video.
 
-A process of its own draws and codes the pictures (camera_process.py), one at a time. It starts with the lab or when the
+A separate process draws and encodes the pictures (camera_process.py), one at a time. It starts with the lab or when the
 first client comes. Times are lab time in seconds.
 """
 
@@ -26,23 +26,23 @@ _LOG = logging.getLogger(__name__)
 RATES_HZ = (1.0, 30.0)  # of video:codec_fps
 BITRATES_KBIT_S = (250.0, 8000.0)
 MAX_CLIENTS = 8
-LATE_PICTURES = 300  # the newest ones, of which the lateness is told
+LATE_PICTURES = 300  # number of newest pictures whose lateness is reported
 LATE_PERCENT = 10.0
 MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pictures up to the next keyframe
 STOP_PATIENCE_S = 3.0
 START_REST_S = 5.0  # a camera process that has ended is started again after this time, not sooner
 BAD_FILES = 3  # its exit code: a file that the fleet names cannot be used
-READY = b"\n"  # what it says before the first order
+READY = b"\n"  # what it sends before the first order
 
 
 class Order(NamedTuple):
-    """One picture, to be taken of the world as it is."""
+    """Order of one picture of the world as it is now."""
 
     index: int  # of the vehicle in the fleet
     channel: int  # place among the cameras of its type
     rate_hz: float
     bitrate_kbit_s: float
-    begins_anew: bool  # with an IDR picture, whatever came before
+    begins_anew: bool  # start the stream anew, with an IDR picture
     timestamp_ms: int
     rows: np.ndarray  # (n, 12) of World.truth()
     light: float  # of the room, 1 = normal
@@ -50,7 +50,7 @@ class Order(NamedTuple):
 
 
 class Station(TcpClients):
-    """The video of one vehicle, as its host and the lab see it."""
+    """The video of one vehicle: the interface for its host and the lab."""
 
     def __init__(self, vehicle, channels, listener, stream):
         """vehicle: FleetVehicle. channels: how many cameras it has. listener: bound TCP socket; None without cameras.
@@ -61,19 +61,19 @@ class Station(TcpClients):
         super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)
         self._channels, self._latency_s = channels or 1, load_vehicle_type(vehicle.type).video_latency_s
         self.configure(0, RATES_HZ[1], 4000.0, True)
-        self.board_s = 0.0, 0.0  # from when until when a checkerboard is waved
+        self.board_s = 0.0, 0.0  # start and end of the waving of a checkerboard
         self.pictures = self.skipped = 0  # sent; left out because the computer was too slow
         self.newest_picture = 0, 0  # bytes of H.264 and frame number of the newest that was made
         self.begins_anew = True  # the next picture begins a stream
         self.next_s = None  # when the next one is to be exposed; None: at once
         self.exposed_s = -math.inf  # when the newest one was
         self._on_the_way = deque()  # (time to send, bytes, is a keyframe)
-        # who has missed something; a new client gets what comes, as from the aircraft: from the middle of the stream
+        # clients that missed data; a new client starts in the middle of the stream, as with the aircraft
         self._waiting_for_keyframe = weakref.WeakSet()
         self._lateness_s = deque(maxlen=LATE_PICTURES)
 
     def configure(self, channel, rate_hz, bitrate_kbit_s, enabled):
-        """What the vehicle's configuration says; clients write any number there, cameras do what they can."""
+        """Apply the vehicle's configuration; clients may write any numbers there, which are limited here."""
         self.channel, self.enabled = channel % self._channels, enabled
         self.rate_hz = float(min(max(rate_hz, RATES_HZ[0]), RATES_HZ[1]))
         self.bitrate_kbit_s = float(min(max(bitrate_kbit_s, BITRATES_KBIT_S[0]), BITRATES_KBIT_S[1]))
@@ -81,8 +81,8 @@ class Station(TcpClients):
     def statistics(self):
         """What the camera has done, as plain numbers.
 
-        late_ms: how late nine out of ten of the newest pictures were sent, at least. A client takes the pictures that
-        came soonest as on time: when the computer has made all of them late, so are its stamps.
+        late_ms: nine out of ten of the newest pictures were sent at least this late. A client assumes that the earliest
+        pictures were on time: if the computer made all of them late, its stamps are late, too.
         """
         late_s = float(np.percentile(self._lateness_s, LATE_PERCENT)) if self._lateness_s else 0.0
         return {"pictures": self.pictures, "skipped": self.skipped, "late_ms": 1e3 * late_s}
@@ -96,14 +96,14 @@ class Station(TcpClients):
             self._waiting_for_keyframe.update(self.backlogs)
 
     def is_due(self, now_s, exposure_s):
-        """Whether a picture is to be taken now, of a world that was exposed then."""
+        """Whether a picture is to be taken now. exposure_s: time of the state of the world."""
         if not self.enabled:
             self.next_s = None
             return False
         if self.next_s is None:
             self.next_s = now_s
         late = int((now_s - self.next_s) * self.rate_hz)
-        if late > 0:  # the computer is too slow: pictures are left out, the rhythm is kept
+        if late > 0:  # the computer is too slow: pictures are skipped, the phase is kept
             self.skipped += late
             self.next_s += late / self.rate_hz
         return self.next_s <= now_s and exposure_s > self.exposed_s
@@ -119,17 +119,17 @@ class Station(TcpClients):
         return Order(index, *settings, round(1e3 * exposure_s), rows, light, waved_s)
 
     def take(self, data, header):
-        """Put the picture that was ordered on its way."""
+        """Queue the picture that was ordered, to be sent after the video latency."""
         self.newest_picture = header.payload_bytes, header.frame_number
         self._on_the_way.append((self.exposed_s + self._latency_s, data, header.frame_type == FrameType.IDR))
 
     @property
     def due_s(self):
-        """When something is to be sent next."""
+        """When the next picture is to be sent."""
         return self._on_the_way[0][0] if self._on_the_way else math.inf
 
     def send(self, now_s):
-        """Send what has arrived; to a client with whom nothing passes it is lost."""
+        """Send the pictures that are due; a client whose stream is blocked loses them."""
         while self.due_s <= now_s:
             due_s, data, is_keyframe = self._on_the_way.popleft()
             self._lateness_s.append(now_s - due_s)
@@ -153,7 +153,7 @@ class VideoServer(SocketHost):
     """The stations of all vehicles, and the process that makes their pictures."""
 
     def __init__(self, world, fleet, seed, wires, listeners):
-        """world: has time_s and truth(). listeners: bound TCP sockets in fleet order, None of one without cameras."""
+        """world: has time_s and truth(). listeners: bound TCP sockets in fleet order, None without cameras."""
         super().__init__("video", wires)
         self._world, self._job = world, (fleet, seed)
         self.light = 1.0  # of the room
@@ -167,14 +167,14 @@ class VideoServer(SocketHost):
             self._waiting.add(station)
         self._has_cameras = any(listeners)
         self._process = self._link = None
-        self._received = bytearray()  # of the picture in the making
-        self._taking = None  # Station whose picture is in the making
+        self._received = bytearray()  # bytes of the picture being made
+        self._taking = None  # Station whose picture is being made
         self._rest_until_s = -math.inf
         self.ready = False  # the camera process is up: a client is served at once
         self.due_s = math.inf  # before this time send() has nothing to do
 
     def start(self):
-        """Start the camera process if it does not run. A computer that cannot start it now is asked again later."""
+        """Start the camera process if it does not run. If that fails, it is tried again later."""
         if self._process is not None or not self._has_cameras or self._now_s < self._rest_until_s:
             return
         link, theirs = socket.socketpair()
@@ -211,14 +211,14 @@ class VideoServer(SocketHost):
         self._order_picture()
 
     def send(self, now_s):
-        """Send the pictures that have arrived by now."""
+        """Send the pictures that are due by now."""
         if now_s >= self.due_s:
             for station in self._all:
                 station.send(now_s)
             self.due_s = min(station.due_s for station in self._all)
 
     def close(self):
-        """Hang up on everybody and end the camera process. May be called twice."""
+        """Disconnect all clients and end the camera process. May be called twice."""
         self._hang_up()
         if self._process is not None:
             try:
@@ -244,7 +244,7 @@ class VideoServer(SocketHost):
             self._send_to_process(self._taking.order(index, exposure_s, self._world.truth(), self.light))
 
     def _send_to_process(self, what):
-        with contextlib.suppress(ConnectionError):  # it has ended: its socket will tell
+        with contextlib.suppress(ConnectionError):  # it has ended: its socket will show it
             self._link.sendall(pickle.dumps(what))
 
     def _receive_picture(self):
@@ -278,7 +278,7 @@ class VideoServer(SocketHost):
         self._received.clear()
 
     def _bury(self):
-        """Say that the camera process has ended, and when it is started again."""
+        """Log that the camera process has ended, and set the time of its next start."""
         code, self._process = self._process.returncode, None
         rest_s, cure = START_REST_S, "it is started again, in %g s" % START_REST_S
         if code == BAD_FILES:

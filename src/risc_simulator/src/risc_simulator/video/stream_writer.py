@@ -1,4 +1,4 @@
-"""Pictures into the framing of an AR.Drone 2.0, PaVE; the other direction is ardrone_autonomy.protocol.video."""
+"""Frames pictures in PaVE, as an AR.Drone 2.0 does; ardrone_autonomy.protocol.video reads it."""
 
 import re
 
@@ -10,7 +10,7 @@ _START = re.compile(b"\0?\0\0\1(?=.)", re.DOTALL)
 
 
 def nal_units(payload):
-    """(type, first byte, end) of every NAL unit of an Annex B payload; its start code (3 or 4 bytes) counts to it."""
+    """(type, first byte, end) of every NAL unit of an Annex B payload; its start code (3 or 4 bytes) is included."""
     starts = [(payload[found.end()] & 0x1F, found.start()) for found in _START.finditer(payload)]
     ends = [begin for _, begin in starts[1:]] + [len(payload)]
     return [(kind, begin, end) for (kind, begin), end in zip(starts, ends)]
@@ -20,7 +20,7 @@ class StreamWriter:
     """Puts the pictures of one encoder into PaVE; frame number and stream position count on from picture to picture.
 
     encoded_px, display_px: (width, height).  header_bytes: 64 (firmware 2.0 and 2.1) or 68.
-    stream_id: another one for each codec and camera; may be changed between pictures, the next one must be an IDR.
+    stream_id: one for each codec and camera; may be changed between pictures, if the next picture is an IDR.
     """
 
     def __init__(self, encoded_px=(640, 368), display_px=(640, 360), header_bytes=68, stream_id=1):

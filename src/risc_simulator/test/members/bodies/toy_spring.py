@@ -28,7 +28,7 @@ def couple(x, vehicle, x_dot):
 
 @compiled
 def rest(x, vehicle):
-    """It hangs still."""
+    """State of the ball hanging at rest."""
     body = vehicle.body
     x[_BALL], x[_BALL + 1] = x[X.P_N], x[X.P_E]
     x[_BALL + 2] = x[X.H] - body.length_m - body.ball_mass_kg * GRAVITY_M_S2 / body.stiffness_n_m
@@ -37,5 +37,5 @@ def rest(x, vehicle):
 
 @compiled
 def place(x, vehicle, position_m, axes):
-    """Where the ball is."""
+    """Position of the ball."""
     position_m[0], position_m[1], position_m[2] = x[_BALL], -x[_BALL + 1], x[_BALL + 2]

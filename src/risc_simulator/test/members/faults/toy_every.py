@@ -1,4 +1,4 @@
-"""A fault for tests: every so many datagrams one is cut in half."""
+"""A fault for tests: every `severity`-th datagram is cut in half."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""A vehicle type for tests: UDP, one text a datagram in ("up 0.3"), its height back; a camera that looks backwards."""
+"""A vehicle type for tests: takes one text per UDP datagram ("up 0.3"), answers its height; a camera looks back."""
 
 import math
 import pathlib
@@ -21,7 +21,7 @@ FIELDS = (("buoyancy_m_s2", float),)
 
 @compiled
 def slope(x, inputs, vehicle, x_dot):
-    """It keeps upright and where it is; h'' = (climb command - h') / tau + buoyancy."""
+    """Upright, without horizontal motion; h'' = (climb command - h') / tau + buoyancy."""
     x_dot[:] = 0.0
     up_m_s2 = (inputs[U.CLIMB] + x[X.W]) / vehicle.climb_time_constant_s + vehicle.buoyancy_m_s2
     x_dot[X.H] = -x[X.W]
@@ -30,12 +30,12 @@ def slope(x, inputs, vehicle, x_dot):
 
 
 def repeated(told, datagram):
-    """A height is the first one again."""
+    """Replace every height by the first one."""
     return told.setdefault("height", datagram) if re.fullmatch(rb"-?\d+\.\d{3}", datagram) else datagram
 
 
 class Firmware(flight.Firmware):
-    """It flies when told a climb rate and falls when told to land."""
+    """Flies when given a climb rate, falls when told to land."""
 
     def configure(self, record):
         record["buoyancy_m_s2"] = 0.0

@@ -15,7 +15,7 @@ from risc_simulator.vehicles.ardrone.sensors import Flow
 
 SPIN_UP_S = 0.8  # motors turn, vehicle still stands
 TAKE_OFF_HEIGHT_M = 0.9  # above the floor
-TAKE_OFF_TIME_S = 4.5  # from the order until it hovers and listens to setpoints
+TAKE_OFF_TIME_S = 4.5  # from the order until it hovers and obeys setpoints
 TAKE_OFF_CLIMB_M_S = 0.6
 LANDING_DESCENT_M_S = 0.4
 HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
@@ -32,13 +32,13 @@ YAW_RATE_LIMIT_RAD_S = 6.11
 
 LOW_BATTERY_PCT = 15.0  # refuses to take off
 EMPTY_BATTERY_PCT = 3.0  # lands by itself
-LOST_HOVER_S = 2.0  # from the loss of the link until it does
+LOST_HOVER_S = 2.0  # from the loss of the link until it lands
 
-# Go to a height with a climb rate within these limits; brakes: by optical flow, and keep the heading, instead of what
-# tilt and yaw rate were asked for. See on_board.py.
+# Go to a height with a climb rate within these limits. brakes: brake by optical flow and keep the heading, instead of
+# obeying the commanded tilt and yaw rate. See on_board.py.
 Hold = namedtuple("Hold", "height_m climb_min_m_s climb_max_m_s brakes")
 _DESCEND = Hold(0.0, -LANDING_DESCENT_M_S, -LANDING_DESCENT_M_S, brakes=True)
-_WAKE_EARLY_S = 1e-6  # what rounding may make of a time on the grid of steps
+_WAKE_EARLY_S = 1e-6  # rounding error of a time on the grid of steps
 
 _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, FlightPhase.LANDING)
 
@@ -46,7 +46,7 @@ _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, 
 class ArdroneFirmware(Firmware):
     """One AR.Drone's on-board logic.
 
-    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told as far as hold leaves it to them.
+    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), for the loops, as far as hold does not replace it.
     hold: Hold while the vehicle keeps its height by itself: hovering, landing, or flying with a climb rate of exactly 0
         (gaz at rest), where the rest of the command is still obeyed. Else None.
     flow: Flow of its bottom camera, by which it brakes.
@@ -71,19 +71,19 @@ class ArdroneFirmware(Firmware):
         )
 
     def configure(self, record):
-        """Write the constants of this vehicle into its record (1,), on_board.FIELDS; `tell` will change the rest."""
+        """Write the constants of this vehicle into its record (1,), on_board.FIELDS; `tell` writes the rest."""
         self._flow_cells = [record["flow_" + name] for name in Flow._fields]
         self.see_floor(True)
         self._holds, self._hold_values = record["holds"], [record[name] for name in Hold._fields]
 
     def see_floor(self, sees):
-        """Without texture nothing seems to move."""
+        """Without texture, the optical flow is 0."""
         self.flow = self._textured if sees else Flow(0.0)
         for cell, value in zip(self._flow_cells, self.flow):
             cell[0] = value
 
     def tell(self):
-        """Bring what is held into the record. Returns the command to be obeyed; None: it brakes by itself."""
+        """Write hold into the record. Returns the command to be obeyed; None while it brakes by itself."""
         held = self.hold
         self._holds[0] = held is not None
         if held is None:
@@ -156,7 +156,7 @@ class ArdroneFirmware(Firmware):
     # ------------------------------------------------------------------ motion
 
     def wake(self, time_s, vertical_motion):
-        """Go on with the take-off: the rotors are fast enough to lift the vehicle, or it is up."""
+        """Go on with the take-off: lift off once the rotors are fast enough, hover once it is up."""
         elapsed_s = time_s - self._phase_start_s
         if elapsed_s < SPIN_UP_S:
             return
@@ -190,7 +190,7 @@ class ArdroneFirmware(Firmware):
         )
 
     def _height_to_hold_m(self, vertical_motion):
-        """The one that is held already, else where the climb loop can stop."""
+        """The height that is held already, else the one at which the climb loop can stop."""
         if self.hold is not None:
             return self.hold.height_m
         height_m, climb_m_s = vertical_motion()

@@ -1,6 +1,6 @@
 """The FTP server of an AR.Drone, TCP 5551: Parrot's own library reads version.txt there before it does anything else.
 
-The server is pyftpdlib's; it has a loop of its own, which waits in the host's like a socket.
+The server is pyftpdlib's; its own event loop is a member of the host's, like a socket.
 """
 
 import logging
@@ -16,17 +16,17 @@ from risc_simulator.socket_host import reset
 MAX_SOCKETS, MAX_OF_ONE_ADDRESS = 16, 8
 
 _LOG = logging.getLogger("pyftpdlib")
-_LOG.setLevel(logging.ERROR)  # who comes is said by Notices
-_LOG.addHandler(logging.NullHandler())  # else it takes a logger of its own for the first client
+_LOG.setLevel(logging.ERROR)  # clients are logged by Notices
+_LOG.addHandler(logging.NullHandler())  # else pyftpdlib sets up logging of its own at the first client
 
 
 class FtpServer:
-    """Lets anybody read the files of an aircraft (config/ardrone_ftp), and nobody write."""
+    """Serves the files of an aircraft (config/ardrone_ftp) to any client, read-only."""
 
     def __init__(self, listener, notices, stream):
         """listener: bound TCP socket, the server's from now on.  notices: Notices of the host.
 
-        stream: wires.Stream that clients' commands pass, so that all which answers them waits or ends with them.
+        stream: wires.Stream that clients' commands pass, so that all answers are delayed or cut with them.
         """
         server = self
         self._now_s = 0.0
@@ -54,7 +54,7 @@ class FtpServer:
         return self._loop.fileno()
 
     def serve(self, now_s):
-        """Do all that can be done now, at lab time now_s."""
+        """Serve all that is pending, at lab time now_s."""
         self._now_s = now_s
         self._loop.loop(timeout=0, blocking=False)
 

@@ -5,15 +5,15 @@ TCP 5555 is for video, which video.server serves (`attach_video`).  TCP 5551 is 
 Each aircraft has its own loopback address, so all use the standard ports.  Any real client can connect.
 
 Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
-Navdata may be lost there too, but is not delayed, and configuration is neither.  One thread, non-blocking sockets; bad
-input is counted, never raised.
+Navdata may be lost there too, but is not delayed; configuration is neither lost nor delayed.  One thread, non-blocking
+sockets; bad input is counted, never raised.
 
-Where the public documents leave a choice, this aircraft does:
+Where the public documents leave a choice, this aircraft behaves as follows:
 - State bit 30 stays set until COMWDG arrives, even when commands flow again.
 - The watchdog of general:com_watchdog (2 s unless a client writes another time, 1 s at least) counts accepted commands
-  only, so a client that restarts with low sequence numbers is let in after it.  It hovers for 2 s more, then lands; it
-  takes off again only after REF bit 9 was seen 0.
-- From 50 ms of silence until then the last command stays in force.
+  only, so a client that restarts with low sequence numbers is accepted once it has expired.  The aircraft then hovers
+  for 2 s and lands; it takes off again only after REF bit 9 was seen 0.
+- From 50 ms of silence until the watchdog expires the last command stays in force.
 - Flight and LED animations, CALIB and the user box are acknowledged and noted (see `notes`), not performed.
 - Wake-up value 2 (multicast) is answered by unicast.
 """
@@ -47,7 +47,7 @@ BOOTSTRAP_PERIOD_S = 1.0 / 15.0
 FULL_PERIOD_S = 1.0 / navdata.FULL_RATE_HZ
 DEMO_PERIOD_S = navdata.DEMO_PERIOD * FULL_PERIOD_S
 LOOK_AHEAD_S = 0.010  # decisions are taken this long before they take effect: two cycles of the lab
-ORDER_REST_S = 0.1  # after an order, until the vehicle's phase is believed again
+ORDER_REST_S = 0.1  # after an order, until the vehicle's phase is evaluated again
 ALTITUDE_GAIN_1_S = 0.8  # climb rate allowed per metre below altitude_max; below 1/(4 * 0.3 s): no overshoot
 CLIMB_STEP_M_S = 0.005  # smaller changes by the altitude limit are not worth a command
 FOREVER_S = 1e9  # upper limit of the client's own time-out
@@ -101,8 +101,8 @@ class ArdroneHost(VehicleHost):
     wires: wires.Wires, of which it uses commands, wake_ups, navdata, and the streams control and ftp; None = wires of
         its own.
 
-    All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
-    address or port cannot be used; nothing that arrives later raises.
+    All now_s are lab time in seconds, the clock of vehicle.schedule.  Raises OSError naming the cause and the cure
+    if an address or port cannot be used; input that arrives later never raises.
     """
 
     def __init__(self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, wires=None):
@@ -136,7 +136,7 @@ class ArdroneHost(VehicleHost):
         self._ref_sequence = 0
         self._ref_time_s = None
         self._ref_gap_ms = 0.0
-        self._config_ids = None  # of the CONFIG_IDS just in front
+        self._config_ids = None  # of the CONFIG_IDS directly before
 
         # navdata
         self._client = None  # address of the last wake-up
@@ -160,7 +160,7 @@ class ArdroneHost(VehicleHost):
                 self._sockets[name] = open_socket(kind, address, getattr(ports, name), vehicle.namespace)
             asks, most = "reads the configuration", MAX_CONTROL_CLIENTS
             self._readers = TcpClients(self._sockets["control"], control, self._notices, asks, most, self._write)
-            # pyftpdlib takes its time to import, and offline flights need none of it
+            # imported here: pyftpdlib is slow to import, and offline flights do not need it
             from risc_simulator.vehicles.ardrone.ftp import FtpServer
 
             self._ftp = FtpServer(self._sockets["ftp"], self._notices, ftp)
@@ -199,7 +199,7 @@ class ArdroneHost(VehicleHost):
             self._send_navdata(now_s, phase)
 
     def power_cycle(self, now_s):
-        """The configuration stays. Take-off needs a fresh command: who put it back must not be hit by its rotors."""
+        """The configuration stays. Take-off needs a fresh command, lest the rotors hit the person who put it back."""
         self._radio.clear()
         self._arriving.clear()
         self._forget_pilot()
@@ -227,7 +227,7 @@ class ArdroneHost(VehicleHost):
         return self.configuration.get(key)
 
     def statistics(self):
-        """Counts since the start; what has never happened is not in it and counts 0."""
+        """Counts since the start (0 for a missing key)."""
         result = self._counts.copy()
         result["radio_slots_lost"] = self._radio.slots_lost
         result["sticks_superseded"] = self._radio.items_superseded
@@ -242,9 +242,9 @@ class ArdroneHost(VehicleHost):
         self._select = False  # last level of REF bit 8
         self._start = None  # last level of REF bit 9; None: no REF yet
         self._armed = True  # False: bit 9 must be seen 0 before the next take-off
-        self._refused = False  # this take-off has been counted as refused
+        self._refused = False  # this take-off was counted as refused already
         self._landing_ordered = False
-        self._rest_until_s = -math.inf  # an order is under way
+        self._rest_until_s = -math.inf  # until then an order is under way
         self._user_emergency = False
         self._sticks = NO_STICKS
         self._wanted = Setpoint(hover=True)  # before the altitude limit
@@ -254,7 +254,7 @@ class ArdroneHost(VehicleHost):
         """Text for a client that reads the configuration."""
         backlog = self._readers.backlogs[sock]
         if len(backlog) + len(text) > MAX_TCP_BACKLOG_BYTES:
-            self._readers.hang_up(sock)  # asks and never reads
+            self._readers.hang_up(sock)  # it requests and never reads
         else:
             backlog += text
 
@@ -274,7 +274,7 @@ class ArdroneHost(VehicleHost):
                 self._notices.complaint("is not obeyed: numbers below the last", sender, "%d" % command.sequence)
                 continue
             self._counts["at_commands"] += 1
-            # silence is judged here as well: a late tick must not overlook a gap that a command has just ended
+            # silence is checked here as well: a late tick must not miss a gap that this command has just ended
             if self._last_at_s is not None and now_s - self._last_at_s > WATCHDOG_S:
                 self._bark()
             self._last_at_s = now_s
@@ -305,7 +305,7 @@ class ArdroneHost(VehicleHost):
         self._radio.submit(now_s, Sticks(flags, *sticks, command.sequence, now_s))
 
     def _note_told(self, now_s):
-        """With REF, which clients send behind their PCMD."""
+        """Called with REF, which clients send after their PCMD."""
         if not self._submitted_ref & _START:
             self.note_told(Told.LAND, now_s)
         else:
@@ -351,7 +351,7 @@ class ArdroneHost(VehicleHost):
         if mode == at.CtrlMode.CLEAR_ACK:
             self._ack = False
         elif mode in (at.CtrlMode.SEND_CONFIG, at.CtrlMode.SEND_CUSTOM_IDS) and self._readers.backlogs:
-            # without a listener nothing is acknowledged, so the client asks again
+            # without a reader nothing is acknowledged, so that the client asks again
             self._ack = True
             self._counts["config_readbacks"] += 1
             whole = mode == at.CtrlMode.SEND_CONFIG
@@ -402,7 +402,7 @@ class ArdroneHost(VehicleHost):
             self._lose_client(now_s)
 
     def _lose_client(self, now_s):
-        """No command for too long: as on a fresh aircraft the client has to start again; hover meanwhile."""
+        """Handle the loss of the link: hover; the client has to start over, as with an aircraft just switched on."""
         _LOG.warning("%s: no command for %.1f s, link lost", self._vehicle.namespace, now_s - self._last_at_s)
         self._counts["com_losses"] += 1
         self._com_lost_s, self._submitted_ref = now_s, None
@@ -435,7 +435,7 @@ class ArdroneHost(VehicleHost):
     def _obey_ref(self, time_s, bits, phase):
         select = bool(bits & _SELECT)
         if select and not self._select:
-            self._armed = False  # whatever bit 9 said during the emergency, it counts from now on
+            self._armed = False  # bit 9 must be seen 0 first, whatever it was during the emergency
             if phase is FlightPhase.EMERGENCY:
                 self._order(time_s, FlightAction.CLEAR_EMERGENCY)
             else:
@@ -448,7 +448,7 @@ class ArdroneHost(VehicleHost):
         self._start = start
 
     def _obey_start_level(self, now_s, phase):
-        """REF bit 9 is a level: it is compared with what the vehicle does on every cycle."""
+        """REF bit 9 is a level: it is compared with the vehicle's phase on every cycle."""
         if now_s < self._rest_until_s or self._start is None:
             return
         if self._start:
@@ -479,7 +479,7 @@ class ArdroneHost(VehicleHost):
         elif phase is FlightPhase.LANDED:
             self._user_emergency = False
         elif phase is FlightPhase.LANDING and not self._landing_ordered:
-            self._armed = False  # it lands for its own reasons, an empty battery: do not take off again
+            self._armed = False  # it lands by itself, with an empty battery: do not take off again
         self._last_phase = phase
 
     def _obey_sticks(self, time_s, sticks):
@@ -499,7 +499,7 @@ class ArdroneHost(VehicleHost):
         self._schedule(time_s, self._within_altitude_limits(self._wanted))
 
     def _from_pilots_heading(self, roll, pitch, pilot_psi_rad):
-        """Roll and pitch sticks of a pilot who looks along another heading, in the aircraft's own."""
+        """Turn roll and pitch sticks from the pilot's heading to that of the aircraft."""
         turn = self._vehicle.state.psi - pilot_psi_rad
         forward, right = -pitch, roll
         c, s = math.cos(turn), math.sin(turn)
@@ -555,7 +555,7 @@ class ArdroneHost(VehicleHost):
             return
         period_s = BOOTSTRAP_PERIOD_S if self._bootstrap else self._packet_period_s
         self._next_packet_s += period_s
-        if self._next_packet_s < now_s:  # a late cycle: packets that were missed are not made up for
+        if self._next_packet_s < now_s:  # a late cycle: missed packets are skipped
             self._next_packet_s = now_s + 0.5 * period_s
         self._cycles += 1
         self._sequence += 1

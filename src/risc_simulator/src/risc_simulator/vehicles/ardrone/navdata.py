@@ -20,7 +20,7 @@ _FLOW_PIXELS = 200.0 / 60.0  # pixels a picture for 1 m/s at 1 m height
 
 
 class Frame(NamedTuple):
-    """All that a packet is made of."""
+    """All values that a packet is made of."""
 
     reading: Reading
     time_s: float  # since boot
@@ -30,14 +30,14 @@ class Frame(NamedTuple):
     ref_sequence: int
     ref_gap_ms: float
     cycles: int
-    picture: tuple[int, int]  # bytes and number of the newest one, of those that were made because somebody watches
+    picture: tuple[int, int]  # bytes and number of the newest one; none are made while no client watches
     trim_deg: tuple[float, float]  # roll, pitch
 
 
 def repeated(told, packet):
     """A packet of navdata with the content of the first one of its length, which `told` (a dict) keeps.
 
-    The sequence number stays, the check sum fits. Anything else stays as it is.
+    It keeps its own sequence number and gets a valid checksum. Other data is returned unchanged.
     """
     try:
         header = peek(packet)
@@ -50,7 +50,7 @@ def repeated(told, packet):
 
 
 def _uint32(value):
-    """A configured number, whatever a client wrote."""
+    """A configured number, limited: a client may write any."""
     return min(2**32 - 1, max(0, value))
 
 
@@ -73,7 +73,7 @@ def _rotation(roll_deg, pitch_deg, yaw_deg):
 
 
 def _runs(f):
-    """What changes from packet to packet: (tag, first field, last field, their numbers) of every run of fields."""
+    """Runs of fields that change from packet to packet: (tag, first field, last field, their numbers) of each."""
     r, s, k = f.reading, f.sticks, _GYRO_LSB_PER_DEG_S
     vx, vy, vz = (1e3 * value for value in r.velocity_m_s)
     height_mm, raw_mm, pressure = 1e3 * r.altitude_m, 1e3 * r.altitude_raw_m, int(r.pressure_pa)
@@ -138,7 +138,7 @@ def _runs(f):
 
 
 def _constants(source):
-    """{tag: fields} that stay as they are while the configuration does."""
+    """{tag: fields} that change only with the configuration."""
     return {
         Tag.DEMO: {"detection_camera_type": _uint32(source.get("detect:detect_type"))},
         Tag.RAW_MEASURES: {"nb_echo": 1},
@@ -170,7 +170,7 @@ class NavdataWriter:
         constants = _constants(source)
         for tag in tags:
             self._encoder.put(tag, **constants.get(tag, {}))
-        self._slots = None  # functions that write the runs, by their places; of an option that is not sent: None
+        self._slots = None  # functions that write the runs, in their order; None for an option that is not sent
 
     def packet(self, frame, state_bits, sequence):
         """The packet as bytes; frame may be None when has_options is False."""

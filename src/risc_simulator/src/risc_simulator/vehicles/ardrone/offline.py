@@ -12,13 +12,13 @@ from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
 
 
 class OfflineLink(offline_link.OfflineLink):
-    """See there. An aircraft that hears nothing goes on with what it was told last, then hovers, then lands."""
+    """See models/offline_link.py. Without commands the aircraft obeys the last one on, then hovers, then lands."""
 
-    _alarm_s = math.inf  # when it has heard nothing for so long that it acts
+    _alarm_s = math.inf  # when it acts on the silence of its driver
 
     def __init__(self, vehicle, phase, noise=1.0):
         super().__init__(vehicle, phase)
-        rng = np.random.default_rng(int(phase * 2**32))  # the phase is the seed's
+        rng = np.random.default_rng(int(phase * 2**32))  # the seed determines the phase
         self._sensors = ArdroneSensors(rng, noise, flow=lambda: vehicle.firmware.flow)
 
     def send(self, sticks, now_s, level_only=False):
@@ -41,6 +41,6 @@ class OfflineLink(offline_link.OfflineLink):
         return *super().report(now_s)[:2], {"velocity_m_s": (forward_m_s, right_m_s)}
 
     def lose(self, now_s):
-        """It takes notice, hovers, and lands."""
+        """Let the aircraft notice the loss, hover, and land."""
         self.vehicle.schedule(now_s + LOST_S, Setpoint(hover=True))
         self.vehicle.schedule(now_s + LOST_S + LOST_HOVER_S, FlightAction.LAND)

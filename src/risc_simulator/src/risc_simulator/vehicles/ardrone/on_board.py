@@ -1,6 +1,6 @@
-"""What runs on board in every step, compiled: hovering by optical flow, height hold, the slow trim of the climb loop.
+"""On-board code of every step, compiled: hovering by optical flow, height hold, the slow trim of the climb loop.
 
-When it runs, and with which numbers, is decided by firmware.py.
+firmware.py decides when it runs, and with which numbers.
 """
 
 from risc_lab.compiled import compiled
@@ -9,7 +9,7 @@ from risc_simulator.models.quadrotor import U, X, felt_climb, level_motion
 HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
 FLOW_GAIN_RAD_PER_M_S = 0.15  # braking: tilt per velocity seen by the belly camera
 FLOW_TILT_MAX_RAD = 0.2
-CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop: a thrust error is forgotten within some 6 s
+CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop: a thrust error is trimmed out within some 6 s
 CLIMB_TRIM_LIMIT_M_S2 = 2.0
 
 FIELDS = (
@@ -26,7 +26,7 @@ FIELDS = (
 
 @compiled
 def before_step(x, inputs, vehicle):
-    """Commands of a vehicle that holds by itself, for the step that starts in state x (12,), to inputs (9,)."""
+    """Write the commands of a vehicle that holds by itself, for the step from state x (12,), into inputs (9,)."""
     if not vehicle.holds:
         return
     if vehicle.brakes:

@@ -31,7 +31,7 @@ _DESCRIPTION_KEYS = {
     Category.SESSION: "custom:session_desc",
 }
 
-MAX_PROFILES = 64  # of each category; a client may name new ids for ever
+MAX_PROFILES = 64  # of each category: a client could name new ids without end
 NO_LIMIT_MM = 100000  # altitude_max of "no limit"
 
 

@@ -17,14 +17,14 @@ GYRO_NOISE_DEG_S = 0.2
 GYRO_OFFSET_DEG_S = 0.5  # removed by the firmware, reported in gyros_offsets
 ALTITUDE_NOISE_M = 0.004  # filtered
 ULTRASOUND_NOISE_M = 0.010  # raw
-VELOCITY_NOISE_M_S = 0.03  # optical flow; nothing on the ground
+VELOCITY_NOISE_M_S = 0.03  # optical flow; 0 on the ground
 MAGNETIC_NOISE_MG = 2.0  # milligauss
 PRESSURE_NOISE_PA = 2.0
 
 FIELD_NORTH_MG = 210.0  # earth's field [milligauss]; the lab's x axis is taken as magnetic north
 FIELD_DOWN_MG = 470.0
-ULTRASOUND_LEAST_M = 0.24  # nothing nearer is heard: a vehicle on the ground reads this
-ODOMETRY_GAP_S = 0.5  # after a longer pause of the readings the way goes on where it was
+ULTRASOUND_LEAST_M = 0.24  # shortest distance measured: a vehicle on the ground reads this
+ODOMETRY_GAP_S = 0.5  # a longer pause of the readings is not added to the way
 GROUND_PRESSURE_PA = 85800.0  # a lab at 1400 m
 PRESSURE_PER_METRE_PA = 10.4
 TEMPERATURE_TENTHS_C = 435  # inside the hull
@@ -33,7 +33,7 @@ _DEG = 180.0 / math.pi
 
 
 class Flow(NamedTuple):
-    """What the bottom camera makes of a velocity: scale * true one + bias."""
+    """Velocity as the bottom camera measures it: scale * true one + bias."""
 
     scale: float = 1.0
     bias_forward_m_s: float = 0.0
@@ -41,7 +41,7 @@ class Flow(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One set of readings. Axes are levelled where that is said."""
+    """One set of readings, in body axes unless `levelled` is said."""
 
     roll_deg: float
     pitch_deg: float
@@ -49,13 +49,13 @@ class Reading(NamedTuple):
     heading_unwrapped_deg: float  # the same without jumps
     acceleration_mg: tuple[float, float, float]  # milli-g; at rest z is -1000
     rates_deg_s: tuple[float, float, float]
-    altitude_m: float  # above standing
+    altitude_m: float  # above the height at which it stands
     altitude_raw_m: float  # the same by ultrasound
     velocity_m_s: tuple[float, float, float]  # forward, right, down, levelled
     turned_deg: float  # since the first reading
     way_m: tuple[
         float, float
-    ]  # flown since then, forward and right as it stood then: velocities added up, so it drifts
+    ]  # flown since the first reading, along its forward and right axes then: integrated velocity, which drifts
     magnetic_mg: tuple[float, float, float]  # milligauss
     pressure_pa: float
     battery_pct: float
@@ -68,7 +68,7 @@ class ArdroneSensors:
 
     rng: numpy Generator of this vehicle.  noise: factor on all noise and biases, 0 gives exact readings.
     rest_height_m: height of the vehicle's centre when it stands; altitude is measured from there.
-    flow: function that gives the Flow of now, the same by which the vehicle hovers.
+    flow: function that gives the current Flow, by which the vehicle hovers, too.
     """
 
     def __init__(self, rng, noise=1.0, rest_height_m=0.0, flow=Flow):
@@ -86,7 +86,7 @@ class ArdroneSensors:
         return std * next(self._normal)
 
     def flat_trim(self):
-        """The vehicle lies flat: what the attitude reads now is zero."""
+        """Zero the attitude readings, of a vehicle that stands level."""
         self.trim_deg = self._bias_deg
 
     def read(self, state, airborne, time_s):

@@ -10,7 +10,7 @@ from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
 from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
 from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
 
-# What the driver's message is made of; no reading depends on what the aircraft was told.
+# Options that the driver's message is made of; no reading depends on the commands.
 _OPTIONS = Tag.DEMO, Tag.TIME, Tag.PHYS_MEASURES, Tag.PWM, Tag.PRESSURE_RAW, Tag.MAGNETO, Tag.WIND_SPEED
 _NOT_TOLD = {
     "sticks": NO_STICKS,
@@ -38,7 +38,7 @@ class Telemetry:
         self._writer, self._sequence = NavdataWriter(_OPTIONS, self), 0
 
     def packet(self, time_s):
-        """What the vehicle sends at a time of the world [s], which is now."""
+        """Packet that the vehicle sends at world time time_s [s], which is now."""
         self._sequence += 1
         reading = self.sensors.read(self._vehicle.state, self._vehicle.firmware.motors_on, time_s)
         frame = Frame(
@@ -47,7 +47,7 @@ class Telemetry:
         return bytes(self._writer.packet(frame, 0, self._sequence))
 
     def message(self, packet, header):
-        """What the driver makes of a packet that it receives; None if it is damaged."""
+        """Message that the driver makes from a packet; None if the packet is damaged."""
         try:
             return self._make_message(Navdata(packet), header)
         except NavdataError:

@@ -20,7 +20,7 @@ from ardrone_autonomy.protocol.navdata import (
     Tag,
 )
 
-MAX_DATAGRAM_BYTES = 4096  # of commands; real clients send some hundred
+MAX_DATAGRAM_BYTES = 4096  # of commands; real clients send a few hundred
 
 _NAME = re.compile(r"[A-Z][A-Z0-9_]*\Z")
 
@@ -39,7 +39,7 @@ def parse_datagram(data):
     a comma too many at the end, surplus arguments, and unsigned float patterns.
     Returns ParsedDatagram(commands: list of AtCommand, malformed: number of lines that were refused). Never raises.
     """
-    if len(data) > MAX_DATAGRAM_BYTES:  # thousands of lines: nobody's who wants to fly
+    if len(data) > MAX_DATAGRAM_BYTES:  # thousands of lines: no client that wants to fly sends them
         return ParsedDatagram([], 1)
     lines = [line.strip(" \t") for line in re.split("[\r\n\0]", data.decode("latin-1"))]
     commands = [_parse_line(line) for line in lines if line]

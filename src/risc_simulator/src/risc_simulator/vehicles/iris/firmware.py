@@ -1,10 +1,10 @@
 """The autopilot of an IRIS+: ArduCopter's modes, arming, failsafes and landing, as far as an indoor flight meets them.
 
 Channels are times of the RC link in microseconds, in ArduCopter's order: roll, pitch, throttle, yaw. The loops that it
-commands run in every step (on_board.py). It looks around some fifty times a second.
+commands run in every step (on_board.py). Its own cycle runs some fifty times a second.
 
-Who speaks for it (mavlink.py) uses, beside Firmware: `vehicle`, `armed`, `mode`, `set_mode`, `arm`, `disarm` (each says
-why not, or ""), `arming_trouble`, `channels_us`, `override`, `radio_failsafe`, `texts`. What it is asked takes effect
+Its MAVLink side (mavlink.py) uses, beside Firmware: `vehicle`, `armed`, `mode`, `set_mode`, `arm`, `disarm` (each
+returns why not, or ""), `arming_trouble`, `channels_us`, `override`, `radio_failsafe`, `texts`. Requests take effect
 with the next step.
 """
 
@@ -25,27 +25,27 @@ from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA
 
 CHANNELS = 8
 ROLL, PITCH, THROTTLE, YAW = range(4)
-CENTRE_US, HALF_RANGE_US = 1500, 500  # of a channel, before anybody sets the parameters RCn_MIN ...
+CENTRE_US, HALF_RANGE_US = 1500, 500  # of a channel, with the parameters RCn_MIN ... at the start
 
-LOOK_PERIOD_S = 0.025  # where no frame comes; else with each frame
-GESTURE_S = 2.0  # throttle at its end and yaw at its end for so long: right arms, left disarms
+LOOK_PERIOD_S = 0.025  # of its cycle without frames; otherwise it runs with each frame
+GESTURE_S = 2.0  # throttle lowest and yaw at its end for this long: right arms, left disarms
 GESTURE_YAW = 0.89  # of full yaw
 LANDED_DISARM_S = 1.0  # on the ground in LAND
 RADIO_LOST_S = 0.5  # without a frame,
-OVERRIDE_LOST_S = 1.0  # or, while overrides are in force, without one
+OVERRIDE_LOST_S = 1.0  # or, while overrides are in force, with neither frame nor override
 LOW_THROTTLE_FRAMES = 3  # below FS_THR_VALUE: the transmitter says that it has lost its own signal
 RELEASE_US, LEAVE_US = 0, 65535  # of an override
 
 STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop
 HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
-LOW_BATTERY_PCT = 15.0  # says so, and does not arm
+LOW_BATTERY_PCT = 15.0  # warns, and does not arm
 CRITICAL_BATTERY_PCT = 8.0  # lands by itself
-SAG_PCT_S = 10.0  # so fast can the rotors lose what a lower charge takes from them
+SAG_PCT_S = 10.0  # fastest change of the charge that determines the thrust of the rotors
 _SILENT_US = (0,) * CHANNELS
 
 
 class Mode(IntEnum):
-    """Of ArduCopter, by its numbers, those that need neither a position nor a pilot of acrobatics."""
+    """Flight modes of ArduCopter, by its numbers, that need neither a position nor an acrobatic pilot."""
 
     STABILIZE = 0  # angles by the sticks, thrust by the throttle
     ALT_HOLD = 2  # angles by the sticks, climb rate by the throttle
@@ -53,7 +53,7 @@ class Mode(IntEnum):
 
 
 class Severity(IntEnum):
-    """Of a text, as in MAVLink."""
+    """Severity of a text, as in MAVLink."""
 
     CRITICAL = 2
     WARNING = 4
@@ -61,7 +61,7 @@ class Severity(IntEnum):
 
 
 class Calibration(NamedTuple):
-    """What a deflection of a channel is: of its parameters RCn_MIN, MAX, TRIM, DZ, REVERSED [us]."""
+    """Calibration of a channel, from its parameters RCn_MIN, MAX, TRIM, DZ, REVERSED [us]."""
 
     trim_us: float
     dead_us: float
@@ -71,14 +71,14 @@ class Calibration(NamedTuple):
 
     @classmethod
     def of(cls, parameters, channel):
-        """Of a channel, from 0."""
+        """Calibration of a channel, numbered from 0."""
         name = "RC%d_" % (1 + channel)
         least, most, trim, dead = (parameters[name + what] for what in ("MIN", "MAX", "TRIM", "DZ"))
         sign = -1 if parameters[name + "REVERSED"] else 1
         return cls(trim, dead, max(1.0, trim - least - dead), max(1.0, most - trim - dead), sign)
 
     def deflection(self, us):
-        """In [-1, 1]."""
+        """Deflection in [-1, 1]."""
         offset_us = us - self.trim_us
         if offset_us > self.dead_us:
             return self.sign * min(1.0, (offset_us - self.dead_us) / self.above_us)
@@ -88,7 +88,7 @@ class Calibration(NamedTuple):
 
 
 class RcFrame(NamedTuple):
-    """What the receiver has decoded: an action, see world.Vehicle.schedule."""
+    """Channels that the receiver has decoded: an action, see world.Vehicle.schedule."""
 
     channels_us: tuple  # whole microseconds, 4 to CHANNELS of them
 
@@ -97,10 +97,10 @@ class IrisFirmware(Firmware):
     """One autopilot.
 
     command: (roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n or climb_m_s).
-    vehicle, sensors: world.Vehicle that it is in, and its IrisSensors; its host says so.
-    parameters: those of the same names of ArduCopter; they act as soon as they are set.
-    texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
-    telemetry_delay_s: from what it says to who hears it.
+    vehicle, sensors: world.Vehicle that it is in, and its IrisSensors; set by its host.
+    parameters: ArduCopter's, by name; they take effect as soon as they are set.
+    texts: (Severity, text) for ground stations, oldest first; its MAVLink side takes them out.
+    telemetry_delay_s: from sending to reception.
     """
 
     vehicle = sensors = None
@@ -119,7 +119,7 @@ class IrisFirmware(Firmware):
 
     def _switch_on(self, time_s):
         self.mode = Mode.STABILIZE
-        self.radio_failsafe = True  # until something is heard
+        self.radio_failsafe = True  # until something is received
         self.wake_s = self._time_s = time_s
         self._battery_said = None
         self._felt_pct, self._felt_s = None, time_s
@@ -129,7 +129,7 @@ class IrisFirmware(Firmware):
         self._override_s = -math.inf
         self._low_frames = 0
         self._gesture, self._gesture_s = 0, time_s  # yaw to this side since then
-        self._grounded_s = time_s  # since when it stands armed, or with a throttle that is not at its end
+        self._grounded_s = time_s  # start of the time on the ground after which it disarms
         self._hold_m = None  # height that is held; None: none
 
     def configure(self, record):
@@ -151,12 +151,12 @@ class IrisFirmware(Firmware):
 
     @property
     def armed(self):
-        """The rotors turn."""
+        """Whether the rotors turn."""
         return self.motors_on
 
     @property
     def phase(self):
-        """FlightPhase: armed on the ground it is still LANDED."""
+        """FlightPhase; armed on the ground it is still LANDED."""
         if not self.lifted:
             return FlightPhase.LANDED
         if not self.motors_on:
@@ -165,9 +165,9 @@ class IrisFirmware(Firmware):
 
     @property
     def channels_us(self):
-        """(CHANNELS,) what it goes by: the receiver's, with what is overridden; 0 for one that nobody sends.
+        """(CHANNELS,) channels in effect: the receiver's, with overrides; 0 for a channel that is not sent.
 
-        () before anything was heard.
+        () before anything was received.
         """
         if not self._received_us and not self._overrides:
             return ()
@@ -177,12 +177,12 @@ class IrisFirmware(Firmware):
         return tuple(channels)
 
     def hover_throttle(self, battery_pct):
-        """Throttle in [-1, 1] at which this vehicle, as it really is, hovers with this charge."""
+        """Throttle in [-1, 1] at which this vehicle, with its true plant, hovers with this charge."""
         return self._sticks.hovers_at(battery_pct) + self._balance_n / self._nominal_n - 1.0
 
     @property
     def drain_pct_s(self):
-        """What its battery loses in a second [%]."""
+        """Discharge rate of its battery [%/s]."""
         return self._battery.drain_pct_s
 
     def battery_pct(self, time_s):
@@ -193,7 +193,7 @@ class IrisFirmware(Firmware):
         self._felt_pct = None
 
     def weaken_battery(self, pct, time_s):
-        """What the rotors lose by it they lose by SAG_PCT_S: a battery gives way, it does not become another one."""
+        """The rotors lose thrust gradually, by SAG_PCT_S: the battery sags, it is not exchanged for another one."""
         felt_pct = self._felt_pct
         self.set_battery_pct(pct, time_s)
         self._felt_pct = felt_pct
@@ -244,7 +244,7 @@ class IrisFirmware(Firmware):
         return ""
 
     def override(self, channels_us, now_s):
-        """RC_CHANNELS_OVERRIDE, of a station that may, at lab time now_s.
+        """Apply RC_CHANNELS_OVERRIDE, of a station that may override, at lab time now_s.
 
         channels_us: microseconds, RELEASE_US or LEAVE_US for each channel.
         """
@@ -279,14 +279,14 @@ class IrisFirmware(Firmware):
             self.set_mode(Mode.LAND)
         elif action is FlightAction.CUT_MOTORS:
             self.disarm(by_force=True)
-        elif action is FlightAction.TAKE_OFF:  # by itself it does no more than that
+        elif action is FlightAction.TAKE_OFF:  # it does no more than that by itself
             self.set_mode(Mode.STABILIZE)
             self.arm()
         elif not isinstance(action, FlightAction):
             raise TypeError("expected an RcFrame or a FlightAction, got %r" % (action,))
 
     def wake(self, time_s, vertical_motion):
-        """Look around, and command the loops."""
+        """Run one cycle: check parameters, radio and gestures, and command the loops."""
         self._time_s, self.wake_s = time_s, time_s + LOOK_PERIOD_S
         if self._parameter_changes != self.parameters.changes:
             self._take_parameters()
@@ -411,7 +411,7 @@ class IrisFirmware(Firmware):
     # ------------------------------------------------------------------ what it does
 
     def _take_parameters(self):
-        """Those that are looked at again and again."""
+        """Keep the parameters that every cycle needs."""
         values = self.parameters
         self._parameter_changes = values.changes
         self._calibrations = {channel: Calibration.of(values, channel) for channel in (ROLL, PITCH, YAW)}
@@ -467,10 +467,10 @@ class IrisFirmware(Firmware):
         self.command = (self._tilt_rad * roll, self._tilt_rad * pitch, self._yaw_rate_rad_s * yaw, up)
         if self.armed and not self.lifted and self._lifts():
             self.lifted = True
-            self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass
+            self._record["rotor_thrust_n"] = self._balance_n  # it had to pass this to lift off
 
     def _felt_charge_pct(self):
-        """The charge by which its rotors pull; see `weaken_battery`."""
+        """The charge that determines the thrust of its rotors; see `weaken_battery`."""
         pct, before_s = self.battery_pct(self._time_s), self._felt_s
         self._felt_s = self._time_s
         if self._felt_pct is not None:
@@ -487,13 +487,13 @@ class IrisFirmware(Firmware):
             self._hold_m = height_m + STOPPING_TIME_S * rate_m_s
 
     def _lifts(self):
-        """What is commanded would carry it off the floor."""
+        """Whether the command would lift it off the floor."""
         least = 0.0 if self._climbs else self._balance_n
         return self.command[3] > least
 
 
 def _parameters_of(kind):
-    """Of a VehicleType. Raises ValueError when its autopilot cannot be set so."""
+    """Parameters of a VehicleType. Raises ValueError if its autopilot cannot be set to its values."""
     dead_us = round(HALF_RANGE_US * own_numbers(kind, RadioSticks).stick_dead_zone)
     try:
         return Parameters(
@@ -513,5 +513,5 @@ def _parameters_of(kind):
 
 
 def _beyond(deflection, dead):
-    """0 within the dead zone, +-1 at the ends."""
+    """Deflection beyond the dead zone: 0 within it, +-1 at the ends."""
     return math.copysign(min(1.0, max(0.0, (abs(deflection) - dead) / (1.0 - dead))), deflection)

@@ -3,8 +3,8 @@
 UDP 14550 speaks MAVLink with any station (mavlink.py). TCP 11411 is the serial line of the vehicle's own Due:
 the bytes go into its real firmware, whose PPM signal goes over the radio to the autopilot (transmitter.py).
 
-Opening the line resets the board, as that of the programming port does. The line is a cable: a loss of the link takes
-the radio and the telemetry away, not the line.
+Opening the line resets the board, as opening the programming port does. The line is a cable: a loss of the link takes
+away the radio and the telemetry, not the line.
 """
 
 import ipaddress
@@ -24,8 +24,8 @@ from risc_simulator.vehicles.iris.mavlink import Mavlink
 from risc_simulator.vehicles.iris.sensors import IrisSensors
 from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver, radio_delay_s, telemetry_delay_s
 
-MAX_BACKLOG_BYTES = 4096  # a client that does not read loses the rest, as by a serial port
-DEAD_CLIENT_MS = 1000  # what is written to a client is not acknowledged for so long: it is gone
+MAX_BACKLOG_BYTES = 4096  # a client that does not read loses the rest, as at a serial port
+DEAD_CLIENT_MS = 1000  # a client that does not acknowledge data for this long is gone
 
 Ports = namedtuple("Ports", "telemetry arduino")
 STANDARD_PORTS = Ports(14550, 11411)
@@ -45,15 +45,16 @@ class IrisHost(VehicleHost):
     wires: wires.Wires, of which it uses mavlink (both directions) and radio, and the stream arduino; None = wires of
         its own.
 
-    All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
-    address or port cannot be used, or the board's firmware is not built; nothing that arrives later raises.
+    All now_s are lab time in seconds, the clock of vehicle.schedule.  Raises OSError naming the cause and the
+    cure if an address or port cannot be used, or the board's firmware is not built; input that arrives later never
+    raises.
     """
 
     def __init__(self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, wires=None):
         super().__init__(vehicle, wires)
         self.address = address
         self._mavlink_wire, self._radio_wire = self.wire("mavlink"), self.wire("radio")
-        self._told_s = -math.inf  # when what was said last arrives
+        self._told_s = -math.inf  # when the newest telemetry arrives
         self._radio_loss, self._radio_delay_s = radio_loss, radio_delay_s(vehicle.plant)
         name = crc32(vehicle.namespace.encode("utf-8"))
         self._losses = np.random.default_rng([seed, name, 1])
@@ -96,7 +97,7 @@ class IrisHost(VehicleHost):
         self.mavlink.tick(now_s)
 
     def power_cycle(self, now_s):
-        """The board is not part of the vehicle."""
+        """Restart MAVLink only: the board is not part of the vehicle."""
         self.mavlink.power_cycle()
 
     def close(self):
@@ -118,7 +119,7 @@ class IrisHost(VehicleHost):
         )
 
     def statistics(self):
-        """Counts since the start; what has never happened is not in it and counts 0."""
+        """Counts since the start; a missing key counts 0."""
         result = {**self._counts, **self.mavlink.counts}
         result["ppm"] = dict(self.receiver.counts)
         ours, theirs = self.notices.statistics(), self.mavlink.notices.statistics()
@@ -133,7 +134,7 @@ class IrisHost(VehicleHost):
                 yield item
 
     def _send_telemetry(self, data, address):
-        """By a radio that sends in turns: late, and in order."""
+        """Send by a radio that sends in turns: delayed, and in order."""
         if not self._is_lost("telemetry_lost_out"):
             late_s = telemetry_delay_s(self._vehicle.firmware, self._losses)
             self._told_s = max(self._told_s, self._now_s + late_s)
@@ -157,7 +158,7 @@ class IrisHost(VehicleHost):
     # --- the board and its radio ----------------------------------------------------------------------------------
 
     def _on_bytes(self, data, now_s):
-        self._board.advance(now_s)  # what it has done before they came
+        self._board.advance(now_s)  # up to the arrival of the bytes
         self._board.receive(data)
 
     def _radio_frame(self, begin_s, channels_us):
@@ -173,7 +174,7 @@ class SerialLine:
     """The serial port of a board, as a TCP port: one client at a time. A member of its host's SocketSet."""
 
     def __init__(self, listener, stream, notices, on_open, on_bytes):
-        """stream: wires.Stream that passes all of both directions.  on_open(); on_bytes(data, now_s)."""
+        """stream: wires.Stream that the data of both directions passes.  on_open(); on_bytes(data, now_s)."""
         self._listener, self._stream, self._notices = listener, stream, notices
         self._on_open, self._on_bytes = on_open, on_bytes
         self._waiting = SocketSet()
@@ -182,8 +183,8 @@ class SerialLine:
         self._client, self._backlog = None, bytearray()
 
     def serve(self, now_s):
-        """Look who comes, says something or goes."""
-        for sock in sorted(self._waiting.readable(), key=lambda sock: sock is self._listener):  # who goes makes room
+        """Accept a new client, read what it sends, notice a hang-up."""
+        for sock in sorted(self._waiting.readable(), key=lambda sock: sock is self._listener):  # hang-ups first
             if sock is self._listener:
                 self._accept()
             else:
@@ -207,7 +208,7 @@ class SerialLine:
         self._on_open()
 
     def _read(self, sock, now_s):
-        if self._stream.is_full(sock):  # it waits, as at a line whose buffer is full
+        if self._stream.is_full(sock):  # the client waits, as at a line whose buffer is full
             self._waiting.discard(sock)
             return
         try:
@@ -224,12 +225,12 @@ class SerialLine:
             self._hang_up(sock)
 
     def write(self, data, now_s):
-        """Bytes from the board; nobody hears them where nobody listens, or the line's buffer is full."""
+        """Send bytes from the board; they are lost without a client, or if the line's buffer is full."""
         if self._client is not None and not self._stream.is_full(self._client):
             self._stream.carry(data, self._client, now_s, self._come_out, self._cut)
 
     def flush(self):
-        """Send what can be sent now, and read again what had to wait."""
+        """Send what can be sent now, and resume reading if that had to wait."""
         if self._client is not None and not self._stream.is_full(self._client):
             self._waiting.add(self._client)
         if self._backlog:
@@ -268,5 +269,5 @@ class SerialLine:
 
 
 def system_id(address):
-    """That of MAVLink, 1 to 250, for a vehicle at an IPv4 address: its last number."""
+    """MAVLink system id, 1 to 250, of a vehicle at an IPv4 address: the last number of the address."""
     return (ipaddress.IPv4Address(address).packed[-1] - 1) % 250 + 1

@@ -2,23 +2,23 @@
 
 Each address that has sent a valid frame is a client: it is answered in the version that it speaks, and has stream
 rates of its own, which it asks for (REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL); until then it gets heartbeats and
-texts, as from ArduCopter. After CLIENT_SILENCE_S it is forgotten. What is damaged, or meant for another system or
-component, is counted and has no effect.
+texts, as from ArduCopter. It is forgotten after CLIENT_SILENCE_S without a message. Damaged frames, and messages for
+another system or component, have no effect; bytes that are not MAVLink are counted.
 
-There are no missions, fences, rally points, files and logs: their lists are empty, and what would fill them is refused.
+There are no missions, fences, rally points, files and logs: their lists are empty, and filling them is refused.
 
-What an autopilot has to give
+What an autopilot must provide
     vehicle                     world.Vehicle
     armed, mode                 bool; number of ArduCopter's flight mode
-    parameters                  parameters.Parameters, of which this module sets what clients set
+    parameters                  parameters.Parameters, in which this module sets what clients set
     sensors                     sensors.IrisSensors
-    channels_us                 the channels [us] that it obeys, of its receiver or overridden; () before the first
-    radio_failsafe              bool: it has nobody's sticks
-    texts                       deque of (MAV_SEVERITY, text), from which this module takes
+    channels_us                 the channels [us] in effect, of its receiver or overridden; () before the first
+    radio_failsafe              bool: it receives no sticks
+    texts                       deque of (MAV_SEVERITY, text); this module takes them out
     set_mode(number)            \\
-    arm(by_force)                > what was refused, why: a text, which is in `texts` already; "" when it was done
+    arm(by_force)                > why it was refused, which is in `texts` already; "" if it was done
     disarm(by_force)            /
-    arming_trouble()            why it would not arm now; ""
+    arming_trouble()            why it would not arm now; "" if it would
     override(channels, now_s)   18 numbers [us]: 0 gives the channel back to the receiver, 65535 leaves it as it is
 """
 
@@ -38,18 +38,18 @@ _LOG = logging.getLogger(__name__)
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
 CLIENT_SILENCE_S = 30.0
-MAKES_ROOM_S = 3.0  # of silence, for another one where there are too many
+MAKES_ROOM_S = 3.0  # of silence, after which a client gives way to a new one if there are too many
 MAX_CLIENTS = 8
 HEARTBEAT_S = 1.0
-MIN_INTERVAL_S, MAX_INTERVAL_US = 0.02, 2**31 - 1  # the latter is what MESSAGE_INTERVAL can tell
-MAX_DATAGRAM_BYTES = 4096  # some frames of 300 bytes; larger ones cost only time
-MAX_MISSES = 50  # what may look like a frame in a datagram, and be none, before the rest is given up
+MIN_INTERVAL_S, MAX_INTERVAL_US = 0.02, 2**31 - 1  # the latter is the limit of MESSAGE_INTERVAL
+MAX_DATAGRAM_BYTES = 4096  # several frames of 300 bytes; larger datagrams only cost time
+MAX_MISSES = 50  # false frames in a datagram, before the rest is discarded
 PARAMETERS_PER_TICK = 5
 TEXT_LENGTH = 50
-FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0  # ArduPilot's param2 of an order that is to be obeyed in any case
+FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0  # ArduPilot's param2 of a forced order
 OVERRIDE_LEAST_US, OVERRIDE_MOST_US = 800, 2200
 INVALID_AXIS = 32767
-_RELEASE_UPPER = 65534  # in channels 9 to 18, where 0 means: leave it
+_RELEASE_UPPER = 65534  # of an override in channels 9 to 18, where 0 means: leave it
 
 _MARKERS = bytes((mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2))
 _ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = (
@@ -60,14 +60,14 @@ _ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = (
 )
 _MISSION_TYPES = (mavlink.MAV_MISSION_TYPE_MISSION, mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
 _TELLS_STATE = {mavlink.MAVLINK_MSG_ID_HEARTBEAT, *(number for stream in STREAMS.values() for number in stream)}
-_STATION = 255  # the system that ground stations are
+_STATION = 255  # system id of ground stations
 _ENDS_OF_SESSIONS = mavlink.MAV_FTP_OPCODE_TERMINATESESSION, mavlink.MAV_FTP_OPCODE_RESETSESSION
 
 
 def frames(datagram):
-    """Yield the bytes that look like frames, MAVLink 1 or 2. What is between them, or broken off, is left out.
+    """Yield the bytes that look like frames, MAVLink 1 or 2. Bytes between them, and truncated frames, are left out.
 
-    The receiver of a frame says by send() whether it is none after all; then the search goes on behind its first byte.
+    The caller says by send() whether a frame is valid; if not, the search goes on after its first byte.
     """
     at = 0
     while at < len(datagram):
@@ -80,8 +80,8 @@ def frames(datagram):
 
 
 def repeated(told, datagram):
-    """A datagram of an autopilot in which each message that tells its state has the content of the first one of its
-    kind, which `told` (a dict) keeps. Sequence numbers stay, check sums fit. All else stays as it is.
+    """A datagram of an autopilot in which each state message has the content of the first one of its kind, which
+    `told` (a dict) keeps. Sequence numbers stay, checksums are valid. Other data is returned unchanged.
     """
     if datagram[:1] not in (_MARKERS[:1], _MARKERS[1:]):
         return datagram
@@ -105,7 +105,7 @@ def repeated(told, datagram):
 
 
 def _frame_length(data, at):
-    """Of the frame that begins there, by its header; 0 when that is broken off, or of no use."""
+    """Length of the frame that begins there, by its header; 0 if the header is truncated or unusable."""
     if data[at] == mavlink.PROTOCOL_MARKER_V1:
         return data[at + 1] + 8 if at + 1 < len(data) else 0
     if at + 2 >= len(data) or data[at + 2] & ~mavlink.MAVLINK_IFLAG_SIGNED:
@@ -120,15 +120,15 @@ class Client:
         self.address = address
         self.version = 1  # of MAVLink, that of its newest frame
         self.heard_s = -math.inf
-        self.parameters_sent = None  # of the list that it is getting; None: of none
+        self.parameters_sent = None  # of the list that is being sent; None: none is
         self._codec = mavlink.MAVLink(None, system_id, COMPONENT_ID)
-        self.defaults_s = {}  # message id: between two of them as it asked for whole streams; None: not streamed
-        self._intervals_s = {}  # the same of those that are streamed, as it asked last
+        self.defaults_s = {}  # message id: interval that it asked for with whole streams; None: not streamed
+        self._intervals_s = {}  # message id: interval in force, of streamed messages
         self._due_s = {}
         self.next_s = math.inf  # when the next message is due
 
     def decode(self, datagram):
-        """Messages in a datagram, and how many bytes of it are none."""
+        """Messages in a datagram, and the number of its bytes that are not part of one."""
         found, used, misses = [], 0, 0
         candidates = frames(datagram)
         valid = None
@@ -139,7 +139,7 @@ class Client:
                 break
             try:
                 message = self._codec.decode(bytearray(frame))
-                valid = not isinstance(message, mavlink.MAVLink_unknown)  # whose checksum nobody can check
+                valid = not isinstance(message, mavlink.MAVLink_unknown)  # whose checksum cannot be verified
             except mavlink.MAVError:
                 valid = False
             if not valid:
@@ -164,7 +164,7 @@ class Client:
         return bytes(data)
 
     def stream(self, message_id, interval_s, now_s):
-        """Send a message every so often from now on; None: no longer."""
+        """Send a message at this interval from now on; None ends it."""
         if interval_s is None:
             self._intervals_s.pop(message_id, None)
             self._due_s.pop(message_id, None)
@@ -173,7 +173,7 @@ class Client:
         self.next_s = min(self._due_s.values(), default=math.inf)
 
     def interval_s(self, message_id):
-        """Between two messages; None: it is not streamed."""
+        """Interval between two messages; None: not streamed."""
         return self._intervals_s.get(message_id)
 
     def due(self, now_s):
@@ -181,7 +181,7 @@ class Client:
         if now_s < self.next_s:
             return []
         due = [message_id for message_id, due_s in self._due_s.items() if due_s <= now_s]
-        for message_id in due:  # what a late cycle has missed is not made up for
+        for message_id in due:  # messages that a late cycle has missed are skipped
             self._due_s[message_id] = max(self._due_s[message_id] + self._intervals_s[message_id], now_s)
         self.next_s = min(self._due_s.values())
         return due
@@ -191,7 +191,7 @@ class Mavlink:
     """Answers datagrams of clients, and streams to them."""
 
     def __init__(self, autopilot, system_id, send):
-        """autopilot: see above.  send: function (data, address)."""
+        """autopilot: see the module.  send: function (data, address)."""
         self._autopilot, self._parameters = autopilot, autopilot.parameters
         self.system_id = system_id
         self._parameters.set("SYSID_THISMAV", system_id)
@@ -199,7 +199,7 @@ class Mavlink:
         self._messages = Messages(autopilot, system_id)
         self.clients = {}  # address: Client
         self._heartbeat_s = 0.0
-        self._station_s = None  # when the ground station that may override was heard; None: never
+        self._station_s = None  # when the station that may override was last heard; None: never
         self._station_lost = False
         self.counts = Counter()
         self.notices = Notices(_LOG, autopilot.vehicle.namespace)
@@ -208,7 +208,7 @@ class Mavlink:
     # ------------------------------------------------------------------ datagrams
 
     def on_datagram(self, data, sender, now_s):
-        """Take what a client has sent. Nothing in it raises."""
+        """Handle a datagram of a client. Bad input never raises."""
         self._now_s = now_s
         client = self.clients.get(sender) or Client(sender, self.system_id)
         messages, foreign = client.decode(data) if len(data) <= MAX_DATAGRAM_BYTES else ([], len(data))
@@ -221,7 +221,7 @@ class Mavlink:
             return
         client.heard_s = now_s
         for message in messages:
-            handler = self._HANDLERS.get(message.get_msgId())  # .id is a field of some
+            handler = self._HANDLERS.get(message.get_msgId())  # not .id, which is a field of some messages
             if handler is not None and self._is_for_us(message):
                 self.counts["messages"] += 1
                 handler(self, message, client)
@@ -294,7 +294,7 @@ class Mavlink:
         del self.clients[client.address]
 
     def _watch_station(self):
-        """The failsafe for the loss of the ground station, if it is switched on and there was one."""
+        """Run the failsafe for the loss of the ground station, if it is enabled and there was one."""
         if self._station_s is None or self._station_lost or not self._parameters["FS_GCS_ENABLE"]:
             return
         if self._now_s - self._station_s > self._parameters["FS_GCS_TIMEOUT"]:
@@ -327,7 +327,7 @@ class Mavlink:
     def _on_file_transfer(self, message, client):
         asked = message.payload  # sequence (2 bytes), session, opcode, size, opcode that is answered, ...
         sequence, opcode = (asked[0] | asked[1] << 8) + 1 & 0xFFFF, asked[3]
-        if opcode in _ENDS_OF_SESSIONS:  # there is none
+        if opcode in _ENDS_OF_SESSIONS:  # there are no sessions
             answer, content = mavlink.MAV_FTP_OPCODE_ACK, []
         else:
             is_of_names = opcode in (mavlink.MAV_FTP_OPCODE_LISTDIRECTORY, mavlink.MAV_FTP_OPCODE_OPENFILERO)
@@ -357,7 +357,7 @@ class Mavlink:
         if message_id not in self._messages:
             return _UNSUPPORTED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            return _DENIED  # once a second, whatever anybody wants
+            return _DENIED  # always once a second
         if interval_us == 0:  # the default: that of its stream
             interval_s = client.defaults_s.get(message_id)
         else:
@@ -415,7 +415,7 @@ class Mavlink:
             self.counts["unknown_parameters"] += 1
             self._refuse_parameter(client, message, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST, -1)
         elif self._parameters.set(name, message.param_value):
-            self._send_all(self._parameter(name, NO_CHANNEL))  # 65535: not of a list
+            self._send_all(self._parameter(name, NO_CHANNEL))  # 65535: not part of a list
         else:
             self._refuse_parameter(client, message, mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE, -1)
             self._send(client, self._parameter(name, NO_CHANNEL))  # the value that it keeps

@@ -1,7 +1,7 @@
-"""What the virtual Pixhawk tells of itself: MAVLink messages made of what its sensors read.
+"""Telemetry of the virtual Pixhawk: MAVLink messages made of its sensor readings.
 
-Indoors there is no GPS: fix type 1 and no satellites.  Position and velocity are told nevertheless, true and from a
-fictitious origin, so that a ground station has something to draw; nothing that flies reads them.
+Indoors there is no GPS: fix type 1 and no satellites.  The true position and velocity, from a fictitious origin, are
+sent nevertheless, so that a ground station has something to draw; no controller reads them.
 """
 
 import math
@@ -19,7 +19,7 @@ DISARMED_BASE_MODE = 81  # custom mode, stabilized, manual input
 ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, ORIGIN_ALTITUDE_M = 41.742, -111.808, 1400.0
 EARTH_RADIUS_M = 6378137.0
 SUPPLY_MV = 5000
-VERSION = 4, 5, 7  # of ArduCopter, whose behaviour this is
+VERSION = 4, 5, 7  # of ArduCopter, whose behaviour is simulated
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT  # how its empty list is read
@@ -82,7 +82,7 @@ STREAMS = {
 
 
 class Messages:
-    """Makes the messages of one autopilot, see mavlink.py for what that has to give."""
+    """Makes the messages of one autopilot, see mavlink.py for what the autopilot must provide."""
 
     def __init__(self, autopilot, system_id):
         self._autopilot, self._vehicle, self._system_id = autopilot, autopilot.vehicle, system_id
@@ -119,7 +119,7 @@ class Messages:
     def _sys_status(self, now_s):
         present = _SENSORS | _HEIGHT | _RECEIVER | _READY
         enabled = present if self._autopilot.mode in (Mode.ALT_HOLD, Mode.LAND) else present & ~_HEIGHT
-        health = present | mavlink.MAV_SYS_STATUS_GEOFENCE  # none is there, so none is breached
+        health = present | mavlink.MAV_SYS_STATUS_GEOFENCE  # there is no fence, so none is breached
         if self._autopilot.radio_failsafe:
             health &= ~_RECEIVER
         if not self._autopilot.armed and self._autopilot.arming_trouble():

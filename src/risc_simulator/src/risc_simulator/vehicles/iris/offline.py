@@ -1,7 +1,7 @@
 """An IRIS+ without sockets, for offline flights: serial line, board and radio as a clock of frames.
 
-The board is as firmware/dueppm is shipped (configuration.h), but for its throttle lock after a failsafe, when the
-autopilot lands already, and for what it sends before its first message.
+The board behaves as firmware/dueppm as shipped (configuration.h), except for its throttle lock after a failsafe (the
+autopilot is landing by then), and for what it sends before its first message.
 """
 
 import math
@@ -19,8 +19,8 @@ FRAME_S = 0.020
 FAILSAFE_S = 0.5  # without sticks
 FAILSAFE_US = (1500, 1500, 950, 1500)
 FRACTION_MAX = 1.001  # a message with a larger one is refused
-JUMP = 0.25  # of a fraction: a larger one counts when the next message confirms it (controls_check.h)
-SLEW_US = 100  # by which a channel changes from one frame to the next (sticks.h)
+JUMP = 0.25  # of a fraction: a larger one is accepted only if the next message confirms it (controls_check.h)
+SLEW_US = 100  # greatest change of a channel from one frame to the next (sticks.h)
 
 
 class OfflineLink:
@@ -35,15 +35,15 @@ class OfflineLink:
         self._coming = deque()  # (time, fractions) on the line to the board
         self._accepted = self._doubted = _NONE
         self._sent_us = FAILSAFE_US  # in the newest frame
-        self._rng = np.random.default_rng(int(phase * 2**32))  # the phase is the seed's
+        self._rng = np.random.default_rng(int(phase * 2**32))  # the seed determines the phase
         self._sensors = IrisSensors(vehicle, self._rng, noise)
 
     def send(self, sticks, now_s, level_only=False):
-        """As serial_node sends them: phi, theta, T, psi, with the signs of the angles."""
+        """Send sticks as serial_node does: phi, theta, T, psi, with the signs of the angles."""
         self._coming.append((now_s + LINE_S, (-sticks.left, -sticks.forward, sticks.up, -sticks.turn_left)))
 
     def order(self, action, now_s):
-        """By telemetry: TAKE_OFF arms in STABILIZE, and the rest is the throttle's."""
+        """Send a FlightAction by telemetry: TAKE_OFF only arms in STABILIZE, the throttle does the rest."""
         self.vehicle.schedule(now_s + self.vehicle.plant.command_delay_s, action)
 
     def deliver(self, now_s):
@@ -60,10 +60,10 @@ class OfflineLink:
             self._frame_s += FRAME_S
 
     def _judge(self, message):
-        """Whether the board believes a message: (time, fractions)."""
+        """Accept, doubt or refuse a message (time, fractions), as the board does."""
         if not all(abs(fraction) <= FRACTION_MAX for fraction in message[1]):
             return
-        # a flight that begins in the air has been flown before
+        # a flight that begins in the air had sticks before: they need no confirmation
         begins = self._accepted is _NONE and self.vehicle.phase is FlightPhase.FLYING
         believed = begins or _agree(self._doubted, message) or _agree(self._accepted, message)
         self._doubted = _NONE
@@ -75,11 +75,11 @@ class OfflineLink:
             self._doubted = message
 
     def lose(self, now_s):
-        """The board's failsafe follows by itself."""
+        """Nothing to do: the board's failsafe follows by itself."""
 
     @property
     def phase(self):
-        """Armed it flies, for who hears no more than that, until it lands."""
+        """FlightPhase as its driver knows it: FLYING while armed, until it lands."""
         phase, logic = self.vehicle.phase, self.vehicle.firmware
         return FlightPhase.FLYING if phase is FlightPhase.LANDED and logic.armed else phase
 

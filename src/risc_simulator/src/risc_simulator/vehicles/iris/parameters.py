@@ -16,7 +16,7 @@ _KINDS = {  # name in the file: (MAV_PARAM_TYPE, lowest, highest)
 
 
 class Parameter(NamedTuple):
-    """What is known of a parameter beside its value."""
+    """Properties of a parameter beside its value."""
 
     index: int
     kind: int  # MAV_PARAM_TYPE
@@ -31,7 +31,7 @@ class Parameters:
         """values: of this vehicle, where they differ from the file's. Raises ValueError for an unknown name."""
         path = package_file("risc_simulator", "config/iris_parameters.yaml")
         self.about, self._values = {}, {}
-        self.changes = 0  # so far
+        self.changes = 0  # number of changes so far
         for index, (name, (kind, value, *limits)) in enumerate(load_yaml(path).items()):
             kind, *widest = _KINDS[kind]
             self.about[name] = Parameter(index, kind, *(limits or widest))
@@ -48,7 +48,7 @@ class Parameters:
         return len(self._values)
 
     def set(self, name, value):
-        """Set one. Returns whether it is so: False for an unknown name or a value outside its limits."""
+        """Set a value. Returns whether it was set: not for an unknown name or a value outside its limits."""
         known = self.about.get(name)
         if known is None or not math.isfinite(value):
             return False

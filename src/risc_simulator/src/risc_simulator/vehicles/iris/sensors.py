@@ -22,7 +22,7 @@ CAPACITY_AH = 3.5
 
 @dataclass(frozen=True)
 class SensorErrors(Settings):
-    """config/iris_sensors.yaml, which says what each is."""
+    """Content of config/iris_sensors.yaml, which explains each field."""
 
     attitude_noise_rad: NotNegative
     heading_error_rad: NotNegative
@@ -58,14 +58,14 @@ class Reading(NamedTuple):
     rates_rad_s: tuple[float, float, float]
     acceleration_m_s2: tuple[float, float, float]  # at rest (0, 0, -g)
     magnetic_mg: tuple[float, float, float]
-    altitude_m: float  # of the barometer, above where it was switched on
+    altitude_m: float  # of the barometer, above the place where it was switched on
     climb_m_s: float
     pressure_pa: float
     battery_pct: float
     battery_mv: float
     current_a: float
-    thrust_fraction: float  # of the greatest, 0 while the rotors stand
-    motor_us: tuple[int, int, int, int]  # what the motors' controllers are told
+    thrust_fraction: float  # of the greatest thrust, 0 while the rotors stand
+    motor_us: tuple[int, int, int, int]  # commands to the motor controllers
 
 
 class IrisSensors:
@@ -86,7 +86,7 @@ class IrisSensors:
         return std * next(self._normal)
 
     def read(self, time_s):
-        """Reading at a time [s] that does not go back."""
+        """Reading at a time [s] that must not decrease."""
         n, vehicle, errors = self._noise, self._vehicle, self._errors
         state, plant = vehicle.state, vehicle.plant
         a, g, m = errors.acceleration_noise_m_s2, errors.gyro_noise_rad_s, errors.magnetic_noise_mg
@@ -123,7 +123,7 @@ class IrisSensors:
 
 
 class _Wander:
-    """An error that changes slowly, around 0."""
+    """An error that varies slowly around 0."""
 
     def __init__(self, normal, std, time_constant_s):
         """normal: iterator of normal numbers."""
@@ -131,7 +131,7 @@ class _Wander:
         self._value, self._time_s = std * next(normal), None
 
     def at(self, time_s):
-        """At a time [s] that does not go back."""
+        """Its value at a time [s] that must not decrease."""
         if self._time_s is not None:
             keep = math.exp(-max(0.0, time_s - self._time_s) / self._time_constant_s)
             self._value = keep * self._value + self._std * math.sqrt(1.0 - keep * keep) * next(self._normal)

@@ -1,6 +1,6 @@
 """From the bytes of a serial line to the channels of a receiver: an Arduino Due with its firmware, and its PPM signal.
 
-The firmware is the real one (firmware/dueppm), built for this computer. Its time is that of the lab.
+The firmware is the real one (firmware/dueppm), built for this computer. It runs on lab time.
 """
 
 import ctypes
@@ -9,7 +9,7 @@ from collections import Counter
 from risc_simulator.vehicles.iris.sensors import sensor_errors
 
 TICKS_PER_US = 42
-LINE_S = 0.015  # a message's way over the line to the board, at 57600 baud
+LINE_S = 0.015  # time of a message on the line to the board, at 57600 baud
 
 LIBRARY = "libdueppm_host.so"
 _EDGES_PER_CALL = 64
@@ -17,12 +17,12 @@ _BYTES_PER_CALL = 1024
 
 
 def radio_delay_s(plant):
-    """From the beginning of a frame to its effect on a vehicle, whose command delay has the serial line in it."""
+    """From the beginning of a frame to its effect [s]: the command delay of the vehicle without the serial line."""
     return max(0.0, plant.command_delay_s - LINE_S)
 
 
 def telemetry_delay_s(autopilot, rng):
-    """Of the next datagram of an IrisFirmware, by its radio's turns."""
+    """Delay of the next telemetry datagram of an IrisFirmware [s]; its radio sends in turns."""
     return autopilot.telemetry_delay_s + sensor_errors().jitter_s * rng.random()
 
 
@@ -64,15 +64,15 @@ class Board:
         self._bytes = ctypes.create_string_buffer(_BYTES_PER_CALL)
 
     def reset(self):
-        """As the button does."""
+        """Reset the board, as its button does."""
         self._library.dueppm_reset(self._board)
 
     def receive(self, data):
-        """Bytes come in by the serial line."""
+        """Feed bytes from the serial line."""
         self._library.dueppm_receive(self._board, data, len(data))
 
     def advance(self, time_s):
-        """Run the firmware up to this time; one in the past: not at all."""
+        """Run the firmware up to this time; a time in the past has no effect."""
         self._library.dueppm_advance(self._board, int(1e6 * time_s))
 
     def sent(self):
@@ -96,28 +96,28 @@ class Board:
 
 
 class PpmReceiver:
-    """The radio's end of the trainer cord: takes edges, gives the channels of whole frames, and refuses the rest.
+    """The radio's end of the trainer cord: turns edges into the channels of complete frames, and refuses the rest.
 
-    A channel lasts from one pulse's leading edge to the next one's. What is wrong with a frame is counted, by reason.
+    A channel lasts from one pulse's leading edge to the next one's. Refused frames are counted by reason.
     """
 
     FEWEST, MOST = 4, 8  # channels
     SHORTEST_US, LONGEST_US = 800, 2200  # of a channel
     PULSE_US = 100, 500
-    SYNC_US = 2500  # at least so long between two frames
-    AGREE = 3  # frames in a row with another number of channels, before that is believed
+    SYNC_US = 2500  # shortest time between two frames
+    AGREE = 3  # frames in a row with another number of channels, before that number is accepted
     LOST_S = 0.5
 
     def __init__(self, pulse_level=0):
         """pulse_level: of the line while a pulse lasts."""
         self._pulse_level = pulse_level
         self.counts = Counter()  # "frames", and reasons for refusing one
-        self.channels_us = ()  # of the newest frame that was good
-        self._good_ticks = None  # when that began
-        self._leading = []  # times of the leading edges of the frame that comes in; []: none does
+        self.channels_us = ()  # of the newest good frame
+        self._good_ticks = None  # when that frame began
+        self._leading = []  # times of the leading edges of the frame being received; []: none is
         self._trouble = "no gap before"  # of that frame
         self._last_ticks, self._level = None, 1 - pulse_level
-        self._other_count = 0, 0  # a number of channels that is not the usual one, how many frames had it
+        self._other_count = 0, 0  # an unusual number of channels; how many frames had it
 
     def feed(self, edges, now_ticks):
         """Edges (time [ticks], level), oldest first, up to now. Returns the good frames in them, [(begin, channels)].
@@ -153,7 +153,7 @@ class PpmReceiver:
                 self._trouble = self._trouble or "a pulse of another length"
 
     def _end_frame(self, frames, level):
-        """level: of the line in the gap behind it."""
+        """level: of the line in the gap after the frame."""
         leading, trouble = self._leading, self._trouble
         self._leading, self._trouble = [], ""
         channels = tuple(round((end - begin) / TICKS_PER_US) for begin, end in zip(leading, leading[1:]))
