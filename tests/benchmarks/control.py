@@ -29,7 +29,7 @@ POSITION_NOISE_M, VELOCITY_NOISE_M_S = 0.001, 0.01
 
 
 def controller_row(count, delay_s, frames, seed=1):
-    """Dict of the median microseconds a frame of each step, for so many vehicles with such a link."""
+    """Dict of the median time [us] per frame of each step, for `count` vehicles with this link delay."""
     begin_s = time.perf_counter()
     vehicle_type = replace(load_vehicle_type("ardrone"), command_delay_s=delay_s)
     loop, buffer = ControlLoop("differential_flatness", [vehicle_type] * count), ReferenceBuffer()
@@ -55,7 +55,7 @@ def controller_row(count, delay_s, frames, seed=1):
 
 
 def pilot_table(frames):
-    """Dict of what arrives -> median microseconds, of one vehicle in autonomous flight."""
+    """{what arrives: median time [us] to handle it} of one vehicle in autonomous flight."""
     params = VehicleNodeParams(joystick_timeout=0.0)
     pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
     own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03, 0.0), Controls(0.1, 0.05, 0.02, 4.4)

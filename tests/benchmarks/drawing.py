@@ -1,8 +1,8 @@
-"""How long the drawing nodes work on one drawing for rviz, fleets of several sizes at 200 Hz drawn at 25 Hz.
+"""How long the drawing nodes take for one drawing for rviz: fleets of several sizes, 200 Hz, drawn at 25 Hz.
 
 Simulated: vehicles on circles, messages as they come from the wire, serialised again as they go out; no rviz. Messages
 between two drawings are not even deserialised (risc_lab.ros.paced_subscriber), so nodes do not work on them here.
-Times are the processor's: what other programs do meanwhile hardly counts.
+Times are processor times: other programs hardly affect them.
 """
 
 import argparse
@@ -71,7 +71,7 @@ class Flight:
 
 
 def programs(names):
-    """dict of what draws -> function of a flight and a time [s] that returns (bytes in, function to markers)."""
+    """{what is drawn: (function of a flight and a time [s] to the message's bytes, function of these to markers)}."""
     fleet = [
         FleetVehicle("risc%d" % k, name, "ardrone", "127.0.0.1", Start((0.0, 0.0, 0.0))) for k, name in enumerate(names)
     ]

@@ -1,7 +1,7 @@
 """How noisy and late the estimates are and how long a frame takes: `./maap bench estimation`.
 
-Simulated: hovering vehicles, white marker noise, stamps with the jitter of a good clock. Seeded. No filter is told of
-commands. lag_ms: by how much the velocity is late of a vehicle that goes to and fro by 0.2 m, every two seconds.
+Simulated: hovering vehicles, white marker noise, stamps with the jitter of a good clock. Seeded. No filter gets the
+commands. lag_ms: delay of the velocity of a vehicle that oscillates by 0.2 m, with a period of two seconds.
 """
 
 import argparse
@@ -42,7 +42,7 @@ COLUMNS = {
 def hover_frames(templates, frames, rng, hidden=0.0):
     """(layout, list of markers (n, 3) [m]): every template at rest at its own place inside the net.
 
-    hidden: share of the bodies that have a marker less, in each frame others.
+    hidden: share of the bodies that lack a marker, different ones in each frame.
     """
     exact = {}
     for index, template in enumerate(templates):
@@ -88,7 +88,7 @@ def noise_table(frames=4000, seed=1):
 
 
 def lag_ms(body, velocity_filter, seed=1, periods=4):
-    """Of the velocity of a vehicle on a sine along x, by its phase; the first period is not looked at."""
+    """Delay [ms] of the velocity of a vehicle on a sine along x, from its phase; the first period is left out."""
     rng, n = np.random.default_rng(seed), round(2.0 * np.pi / SINE_RAD_S * RATE_HZ)
     layout, frames = hover_frames([body], n * (1 + periods), rng)
     turns_rad = SINE_RAD_S * np.arange(len(frames)) / RATE_HZ
@@ -100,7 +100,7 @@ def lag_ms(body, velocity_filter, seed=1, periods=4):
 
 
 def filterpy_us(times=500):
-    """Median time [us] of one prediction and one pose of one body by filterpy, its model and matrices given."""
+    """Median time [us] of one prediction and one update by a pose in filterpy, with model and matrices given."""
     other, H, R = ExtendedKalmanFilter(dim_x=DIM, dim_z=6), np.eye(DIM)[:6], np.eye(6)
     seconds = []
     for _ in range(times):

@@ -2,15 +2,15 @@
 
 Whole graph in real time, simulated: a fleet on its course, one event a second, of one frame to 0.2 s. The states of the
 bag are compared with the virtual lab's truth of the same frame: a state is wrong when it is off by more than 30 mm, 5
-degrees of tilt or 10 degrees of yaw. What was false does harm where a state says `visible` and is wrong.
+degrees of tilt or 10 degrees of yaw. A state is harmful when it says `visible` and is wrong.
 
 Only states that were published count.
 
-- false: frames while a fault acts.  harmful: those of them with such a state of any vehicle.  after: frames from the
-  end of an event to the next one with such a state.
+- false: frames while a fault acts.  harmful: those of them with a harmful state of any vehicle.  after: frames with a
+  harmful state from the end of an event to the next event.
 - settled: from the end of an event until all vehicles are visible and right.
-- noticed: of events of ten frames or more, frames until a vehicle is not visible (only of `freeze`, where nothing that
-  is seen contradicts itself).
+- noticed: in events of ten frames or more, frames until a vehicle is not visible (only for `freeze`, where the frames
+  do not contradict themselves).
 """
 
 import argparse
@@ -29,10 +29,10 @@ from data_extraction.flatten import seconds
 from risc_lab.states import S
 
 FAULTS = "marker_swap", "ghost_marker", "nan_markers", "freeze", "flip", "jump", "name_exchange"
-FIRST_S, APART_S, SHIFT_S = 2.0, 1.0, 0.2  # of events: the first one, from one to the next, less or more than that
+FIRST_S, APART_S, SHIFT_S = 2.0, 1.0, 0.2  # of events: start of the first, from one to the next, random shift (+-)
 LONGEST_S = 0.2
-LONG_FRAMES = 10  # of an event in which `noticed` counts
-MOST_HARMFUL = 0.005  # of false frames
+LONG_FRAMES = 10  # least length of an event for `noticed`
+MOST_HARMFUL = 0.005  # fraction of the false frames
 SETTLED_MS, NOTICED_FRAMES = 50.0, 3.0  # limits of half of the events, and of 99 % of the frozen ones
 STATES, TRUTH, EVENTS = "/cortex_raw", "/ground_truth", "/virtual_lab/faults"
 COLUMNS = "x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r"  # of `S`
@@ -51,7 +51,7 @@ def script(fault, count, frame_s, seed):
 def read(path):
     """(stamps (k,) [s], visible (k, n) bool, wrong (k, n) bool, [(begins, ends) [s], ...]) of a bag; n: vehicles.
 
-    Frames of which the truth is not known are left out.
+    Frames without a known truth are left out.
     """
     told, events, names = {STATES: {}, TRUTH: {}}, {}, ()
     with Bag(path) as bag:
@@ -79,7 +79,7 @@ def read(path):
 
 
 def judge(stamps_s, visible, wrong, events):
-    """{figure: number, or list of one number an event} of a flight: see above. Arguments: as `read` returns them."""
+    """{figure: number, or list with a number per event} of a flight: see above. Arguments: as `read` returns them."""
     harmful, well = (visible & wrong).any(axis=1), (visible & ~wrong).all(axis=1)
     figures = {"events": len(events), "false": 0, "harmful": 0, "after": 0, "settled_ms": [], "noticed_frames": []}
     nexts_s = [begins_s for begins_s, _ in events[1:]] + [events[-1][1] + APART_S] if events else []
@@ -127,8 +127,8 @@ def measure(fault, folder, args):
 
 
 def main(arguments=None):
-    """Command line. Returns 1 when more than 0.5 % of the false frames of a fault did harm, or one after an event, half
-    of the events took longer than 50 ms to settle, or a frozen stream was noticed after more than 3 frames.
+    """Command line. Returns 1 when more than 0.5 % of the false frames of a fault were harmful, or any after an event,
+    half of the events took longer than 50 ms to settle, or a frozen stream was noticed after more than 3 frames.
     """
     parser = argparse.ArgumentParser(prog="maap bench false_states", description=__doc__.splitlines()[0])
     add = parser.add_argument

@@ -1,14 +1,14 @@
-"""Whole graph in real time: how long after the begin of a fault the vehicles are sent a command of a higher failsafe
+"""Whole graph in real time: how long after the start of a fault the vehicles are sent a command of a higher failsafe
 level, by the clock of the computer that flies.
 
-A flight has as many events of one fault as fit, at seeded times; every vehicle counts. When vehicles have landed the
-next flight goes on. Vehicles whose ladder had no reason to leave its level have no reaction.
---programs: the programs of a flight killed, and stopped for a short and for a long time. What counts of those between
-the ladder and the vehicle is what the vehicle hears: hover, or land. Only some flights have a transmitter (IRIS+:
---fleet) or the filter EKF (--states cortex_ekf).
---out: a flight that is there with its summary.json is not flown again. So what was interrupted goes on with the same
-command, and several may fly parts of the faults into one folder, each with a --json of its own; then the command of all
-of them flies nothing, and writes the whole table.
+A flight has as many events of one fault as fit, at seeded times; every vehicle counts. When vehicles have landed, the
+next flight continues. Vehicles whose ladder had no reason to leave its level have no reaction.
+--programs: the programs of a flight are killed, and stopped for a short and for a long time. For programs between the
+ladder and the vehicle, what counts is the order that the vehicle receives: hover, or land. Only some flights have a
+transmitter (IRIS+: --fleet) or the filter EKF (--states cortex_ekf).
+--out: a flight whose summary.json is there is not flown again. So the same command continues an interrupted run, and
+several commands may fly parts of the faults into one folder, each with a --json of its own; then the command for all
+faults flies nothing, and writes the whole table.
 """
 
 import argparse
@@ -37,10 +37,10 @@ FAULTS = ("mocap_blackout:0.3",)
 PROGRAMS = ("mocap_client", "states_estimation", "EKF", "controller", "trajectory", "vehicle_node", "driver",
             "transmitter", "joystick", "master")  # fmt: skip
 OF_PROGRAMS = "node_kill:%s", "node_stop:%s,0.3", "node_stop:%s,3"
-# whose silence the ladder has to notice as soon as that of motion capture
+# programs whose silence the ladder has to notice as soon as that of motion capture
 AS_MOCAP = ("mocap_client", "states_estimation", "controller", "EKF")
-STATE_HOLD_MS = 120.0  # within which a vehicle has to hold when motion capture is lost, and a period of its commands
-FIRST_S, APART_S, SHIFT_S = 3.0, 3.0, 0.5  # of events: the first one, from one to the next, less or more than that
+STATE_HOLD_MS = 120.0  # limit to hold when motion capture is lost; a period of the vehicle's commands is added
+FIRST_S, APART_S, SHIFT_S = 3.0, 3.0, 0.5  # of events: start of the first, from one to the next, random shift (+-)
 MOST_FLIGHTS = 20  # of one fault, or as many as events are wanted
 
 
@@ -54,8 +54,8 @@ def script(text, count, seed):
 
 
 def fly(folder, events, seed, args, options=()):
-    """One flight with a file of faults, unless it is there. Returns its summary, or None when there is none (its folder
-    says why). Raises ValueError when another flight is there.
+    """Fly one flight with a file of faults, unless it is there. Returns its summary, or None when there is none (its
+    folder says why). Raises ValueError when another flight is there.
     """
     path, asked, faults = folder / "summary.json", folder / "options.txt", folder / "faults.yaml"
     words = ["--seed", str(seed), "--vehicles", str(args.vehicles), "--duration", str(args.duration)]
@@ -95,14 +95,14 @@ def measure(text, folder, args):
 
 
 def is_limited(text):
-    """Whether vehicles have to hold within `limit_ms` of the begin of a fault."""
+    """Whether vehicles have to hold within `limit_ms` of the start of a fault."""
     event = parse_fault(text)
     lasts = event.fault == "node_kill" or 1e3 * event.duration_s > STATE_HOLD_MS
     return lasts and (event.fault == "mocap_blackout" or event.program in AS_MOCAP)
 
 
 def programs_of(vehicle_types, states):
-    """(those of PROGRAMS that flights of such vehicles have, [why another one is left out])."""
+    """([those of PROGRAMS that flights of such vehicles have], [why others are left out])."""
     roles = {role for vehicle_type in vehicle_types for role in adapter_class(vehicle_type).NODES}
     missing = {}
     if "transmitter" not in roles:
@@ -113,7 +113,7 @@ def programs_of(vehicle_types, states):
 
 
 def limit_ms(fleet, vehicles=None):
-    """Within which the first vehicles of a fleet have to be sent the command to hold when states or commands stop."""
+    """Time [ms] within which the first vehicles of a fleet must be told to hold when states or commands stop."""
     types = [vehicle.vehicle_type for vehicle in load_fleet(fleet).vehicles[:vehicles]]
     return STATE_HOLD_MS + max(1e3 / VehicleNodeParams().rate_hz(vehicle_type) for vehicle_type in types)
 

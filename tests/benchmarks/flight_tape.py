@@ -1,7 +1,7 @@
-"""A flight that estimators hear again and again: flown once, offline; then looked at by cameras with another noise.
+"""A flight that is replayed to estimators: flown once, offline, then seen repeatedly by cameras with other noise.
 
-What an estimator makes of it does not change how it was flown, so that thousands of false frames and long outages can
-happen to a fleet on its course.
+The estimates do not change how it was flown, so thousands of false frames and long outages can happen to a fleet on its
+course.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 
 
 class Tape(NamedTuple):
-    """Of n vehicles in k frames, from when all were on the course, settled, to the end."""
+    """A recorded flight of n vehicles in k frames, from when all were on the course, settled, to the end."""
 
     fleet: object  # Fleet
     vehicle_types: dict  # {name in motion capture: VehicleType} of the vehicles, in the order of the fleet
@@ -27,14 +27,14 @@ class Tape(NamedTuple):
     layout: tuple  # as `MocapCameras.observe` takes it; vehicles come first
     times_s: np.ndarray  # (k,) of exposure
     markers_m: np.ndarray  # (k, m, 3) exact ones of all bodies
-    truths: np.ndarray  # (k, n, 12) what perfect motion capture would say of the vehicles, columns `S`
-    # of each frame: [(name, stamp_s, what, values)], what reaches an estimator before it, as `StatesEstimator.on_board`
-    # takes it; with that of all the flight before in the first
+    truths: np.ndarray  # (k, n, 12) true states of the vehicles, as from perfect motion capture, columns `S`
+    # of each frame: [(name, stamp_s, what, values)] that reach an estimator before it, arguments of
+    # `StatesEstimator.on_board`; the first frame also has those of the whole flight before
     told: list
 
     @property
     def names(self):
-        """Of the vehicles in motion capture."""
+        """Names of the vehicles in motion capture."""
         return tuple(self.vehicle_types)
 
     def bodies(self, *meant):
@@ -46,14 +46,14 @@ class Tape(NamedTuple):
         return MocapCameras(CameraParams.of_arena(self.fleet.arena), seed)
 
     def estimator(self, velocity_filter, **pose_fit):
-        """StatesEstimator of the fleet with a new filter. pose_fit: PoseFitParams that are not the usual ones."""
+        """StatesEstimator of the fleet with a new filter. pose_fit: PoseFitParams that differ from the defaults."""
         params = PoseFitParams(**pose_fit).within(self.fleet.arena)
         templates = load_templates(fleet=self.fleet)
         return StatesEstimator(templates, params, self.names, velocity_filter, self.vehicle_types)
 
 
 def record(flight, on_board):
-    """Tape of a Flight. on_board: what estimators will be told besides, as in `VelocityFilter.ON_BOARD`.
+    """Tape of a Flight. on_board: what estimators will get besides frames, as in `VelocityFilter.ON_BOARD`.
 
     Raises as `offline.fly`; ImportError without ROS where sensors are to be read.
     """
@@ -64,9 +64,9 @@ def record(flight, on_board):
 
 
 def replay(tape, estimator, cameras, see=lambda k, seen: seen):
-    """Yields (k, Observation, FrameEstimate) of each frame; of the estimator all can be asked meanwhile.
+    """Yields (k, Observation, FrameEstimate) of each frame; the estimator can be queried meanwhile.
 
-    see: makes of what the cameras have seen in frame k what reaches the estimator.
+    see: function of k and what the cameras have seen, which returns what reaches the estimator.
     """
     for k, (time_s, markers_m, told) in enumerate(zip(tape.times_s.tolist(), tape.markers_m, tape.told)):
         for said in told:
@@ -76,7 +76,7 @@ def replay(tape, estimator, cameras, see=lambda k, seen: seen):
 
 
 class _Taped(RunningFlight):
-    """A flight, and what the estimators of others will hear of it."""
+    """A flight that records what other estimators will get."""
 
     def __init__(self, flight, on_board):
         self.on_board_wanted, self._told, self._frames_told = on_board, [], []
@@ -89,7 +89,7 @@ class _Taped(RunningFlight):
         self._for_others = OnBoardReadings(self, vehicles, self._wires, seed, noise)
 
     def on_board(self, name, stamp_s, what, values):
-        """What an estimator would be told: see `StatesEstimator.on_board`."""
+        """Record what an estimator would get: see `StatesEstimator.on_board`."""
         if what in self.on_board_wanted:
             self._told.append((name, stamp_s, what, values))
 
@@ -106,7 +106,7 @@ class _Taped(RunningFlight):
             self._told = []
 
     def tape(self):
-        """Its Tape."""
+        """The flight's Tape."""
         vehicles = self._world.vehicles.values()
         times_s, markers_m, truths, told = zip(*self._frames_told)
         return Tape(

@@ -1,9 +1,9 @@
 """Whole graph in real time over several seeds: accuracy, latency, lost frames.
 
-Each seed flies another heading. The figure of a course is the median over the seeds, of the vehicle that has the worst.
-At the end: what the programs took, medians of all flights. "lab late" is how late the virtual lab itself was against
-its schedule (p99, median over the seeds). It waits for nobody, so this is what the computer took from every process,
-those of the graph as well.
+Each seed flies another heading. The figure of a course is the median over the seeds, of the worst vehicle. At the end:
+cores that the programs used, medians of all flights. "lab late" is how late the virtual lab itself was against its
+schedule (p99, median over the seeds). The lab waits for no other program, so this is the delay that the computer causes
+in every process, those of the graph as well.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import sys
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 COURSES = ("circle", "flat8", "slanted8")
 SEEDS = (1, 2, 3, 4, 5)
-MOCAP_HZ = 200.0  # said to each flight: none goes on at less on a computer that is too slow
+MOCAP_HZ = 200.0  # given to each flight: none continues at a lower rate on a computer that is too slow
 REQUIRED_RMSE_M = {0.05: 0.008, 0.1: 0.030, 0.3: 0.100}  # {command delay [s]: [m]}
 REQUIRED_P99_MS = {"datagram_to_cortex_raw": 5.0, "datagram_to_cmd_vel": 10.0}
 

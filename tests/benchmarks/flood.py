@@ -44,7 +44,7 @@ while True:
 
 @contextlib.contextmanager
 def program(*command, environment=None):
-    """It runs while the block does."""
+    """Run a program while the block runs."""
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield psutil.Process(process.pid)

@@ -1,24 +1,25 @@
-"""What the estimator refuses, and whether its covariances are true: `./maap bench gate`.
+"""What the estimator refuses, and whether its covariances are consistent: `./maap bench gate`.
 
 Simulated: fleets of three AR.Drones, and of two and an IRIS+, on perturbed plants and in gusts fly real courses
-offline; what the virtual lab's cameras see of them, again and again with other noise, goes to the state estimator with
-the filter `ekf`, or `--estimator NAME`. Everything is seeded; every seed flies another course and heading. Control
-arms: `--gate off`, where no gate of the pose fit and of the filter refuses anything, and `--set KEY=NUMBER`.
+offline; the virtual lab's cameras see each flight repeatedly, with other noise, and the frames go to the state
+estimator with the filter `ekf`, or `--estimator NAME`. Everything is seeded; every seed flies another course and
+heading. Control arms: `--gate off`, where no gate of the pose fit and of the filter refuses anything, and
+`--set KEY=NUMBER`.
 
-- false_reject_rate: share of the poses of clean frames (a body in a frame, with three markers or more to be seen) that
+- false_reject_rate: share of the poses of clean frames (a body in a frame, with three visible markers or more) that
   the pose fit or the filter refuses, or takes only in part; with the upper 95 % bound of Clopper and Pearson.
 - detected_first_frame: share of single false frames, by kind, that do no harm: the false pose is not taken, and no
-  state that comes out of the frame is visible and wrong by more than 30 mm, 5 degrees of tilt or 10 degrees of yaw. A
-  pose that was mended, so that it is nearer to the truth than half of that (half of a jump), is not false; nor is the
-  attitude of a vehicle that heads and tilts as the one whose name it has.
-  swap: two markers of a vehicle; flip: it faces the other way; exchange: two vehicles; jump: level, evenly on a
-  logarithmic scale from 5 sigma of a marker's noise (10 mm) to 1 m.
-- lockouts: outages of a vehicle, 0.02 to 5 s evenly on a logarithmic scale, after which it is not visible, and right,
-  within a second. readmission_ms_p99: from the first frame that sees it again to the first state that is; null: never.
-- nees, nis: mean over all vehicles of squared errors of the twelve states by their covariances, and of squared
-  innovations (position and attitude) by theirs, at one instant of each seed; low95 and high95: where the mean of a true
-  filter is with 95 %.  nees_of: the same of position, velocity, angles and rates alone, 3 degrees of freedom each.
-  null for a filter without covariances.
+  state of the frame is visible and wrong by more than 30 mm, 5 degrees of tilt or 10 degrees of yaw. A pose that was
+  repaired, so that its error is below half of that (half of a jump), is not false; nor is the attitude of a vehicle
+  with the heading and tilt of the one whose name it has.
+  swap: two markers of a vehicle; flip: it faces the other way; exchange: two vehicles; jump: horizontal, log-uniform
+  from 5 sigma of a marker's noise (10 mm) to 1 m.
+- lockouts: outages of a vehicle, log-uniform from 0.02 to 5 s, after which it is not both visible and right within a
+  second. readmission_ms_p99: from the first frame that sees it again to the first state that is both; null: never.
+- nees, nis: mean over all vehicles of the squared errors of the twelve states, normalised by their covariances, and of
+  the squared innovations (position and attitude), normalised by theirs, at one instant of each seed; low95 and high95:
+  95 % band of the mean for a consistent filter.  nees_of: NEES of position, velocity, angles and rates alone, 3 degrees
+  of freedom each.  null for a filter without covariances.
 """
 
 import argparse
@@ -61,28 +62,28 @@ NO_GATES = {
     "residual_max_m": 1e3, "frozen_frames": 0, "tilt_max_rad": 4.0, "min_spread_m": 1e-9, "memory_s": 0.0,
     "false_reject_probability": 0.0,
 }  # fmt: skip
-_CLEAN, _FALSE, _OUTAGES = range(3)  # what replays of a seed are for
+_CLEAN, _FALSE, _OUTAGES = range(3)  # purposes of a seed's replays
 
 
 class Task(NamedTuple):
-    """What one process does with one flight."""
+    """Work of one process on one flight."""
 
     seed: int
     filter: str
-    settings: dict  # of the filter, that are not the usual ones
-    pose_fit: dict  # the same of PoseFitParams
+    settings: dict  # of the filter, that differ from the defaults
+    pose_fit: dict  # PoseFitParams that differ from the defaults
     poses: int  # of clean frames, at least
     injections: int  # of each kind
     outages: int
 
 
 class Tally(NamedTuple):
-    """What came of it."""
+    """Results of a Task."""
 
     poses: int
     refused: int
     tried: Counter  # {kind: injections}
-    detected: Counter  # {kind: of them}
+    detected: Counter  # {kind: those that were detected}
     readmissions_s: list  # infinite: locked out
     nees: list  # of (12 states, position, velocity, angles, rates), a vehicle each
     nis: list
@@ -108,13 +109,13 @@ def new_estimator(tape, task):
 
 
 def taken_of(estimator, n):
-    """(n, 2) bool: the filter has taken the position, the attitude; one that does not tell takes what it is given."""
+    """(n, 2) bool: the filter has taken the position, the attitude; a filter that does not tell takes every pose."""
     present, innovations = estimator.poses.present[:n, None], estimator.innovations()
     return np.repeat(present, 2, axis=1) if innovations is None else innovations.taken[:n] & present
 
 
 def seed_of(task, purpose, number):
-    """SeedSequence of the cameras, or of what else is drawn, in the replay of that number."""
+    """SeedSequence of the cameras, or of other random numbers, in the replay of that number."""
     return np.random.SeedSequence(task.seed, spawn_key=(purpose, number))
 
 
@@ -141,7 +142,7 @@ def rows_of(tape):
     return [slice(first, end) for first, end in zip([0, *ends], ends)]
 
 
-# --- what is right
+# --- clean frames
 
 
 def look_at_clean_frames(tape, task):
@@ -166,7 +167,7 @@ def look_at_clean_frames(tape, task):
 
 
 def consistency(estimator, estimate, truth):
-    """([NEES], [NIS]) of the vehicles that are visible: squares of errors, and of innovations, by their covariances."""
+    """([NEES], [NIS]) of the visible vehicles: squares of errors, of innovations, normalised by their covariances."""
     nees, nis, P, innovations = [], [], estimator.covariances(), estimator.innovations()
     if P is None or innovations is None:
         return nees, nis
@@ -180,11 +181,11 @@ def consistency(estimator, estimate, truth):
     return nees, nis
 
 
-# --- what is false
+# --- false frames
 
 
 def false_frame(kind, tape, seen, i, rng):
-    """(Observation, names concerned, how far [m] a pose of it may be off and is not false) of vehicle i."""
+    """(Observation, names concerned, position error [m] that is not false yet) of a false frame of vehicle i."""
     names = (tape.names[i],)
     severity, allowed_m = fault_settings(FAULT_OF[kind]).default_severity, 0.5 * WRONG_M
     if kind == "exchange":
@@ -199,12 +200,12 @@ def false_frame(kind, tape, seen, i, rng):
 
 
 class _FalseFrames:
-    """Single ones, the kinds in turn and the vehicles in turn, so rarely that a vehicle is right again in between."""
+    """Injects single false frames, kinds and vehicles in turn, so rarely that a vehicle is right again in between."""
 
     EVERY = round(REST_S / FRAME_S)  # frames, of a vehicle
 
     def __init__(self, tape, wanted):
-        """wanted: of each kind."""
+        """wanted: number of each kind."""
         self.tried, self.detected = Counter(), Counter()
         self._tape, self._wanted = tape, wanted
 
@@ -213,12 +214,12 @@ class _FalseFrames:
         return self.tried.total() >= len(FAULT_OF) * self._wanted
 
     def begin(self, rng):
-        """A replay begins."""
+        """Begin a replay."""
         self._rng, self._turns, self._injected = rng, 0, None
         self._right = np.zeros(len(self._tape.names), dtype=bool)
 
     def see(self, k, seen):
-        """What reaches the estimator."""
+        """What reaches the estimator in frame k."""
         self._injected, names = None, self._tape.names
         if k < SETTLE_S / FRAME_S or k % (self.EVERY // len(names)) or self.are_enough:
             return seen
@@ -232,7 +233,7 @@ class _FalseFrames:
         return false
 
     def look(self, k, estimator, estimate):
-        """What came of the frame."""
+        """Judge what came of frame k."""
         truth = self._tape.truths[k]
         self._right, wrong = right_of(estimate, truth)
         if self._injected is not None:
@@ -263,14 +264,14 @@ def takes_what_is_false(estimator, truth, allowed_m):
     return (taken_of(estimator, n) & np.column_stack((false[:, 0], false[:, 1:].any(axis=1)))).any(axis=1)
 
 
-# --- what is gone for a while
+# --- outages
 
 
 def let_out(tape, task):
     """[s] after each outage until the vehicle was visible and right; infinite: it was locked out."""
     found, number, n, end_s = [], 0, len(tape.names), tape.times_s[-1] - LOCKED_OUT_S - REST_S
     rng = np.random.default_rng(seed_of(task, _OUTAGES, 0))
-    lengths_s = np.exp(rng.uniform(*np.log(OUTAGE_S), n))  # of the next of each vehicle
+    lengths_s = np.exp(rng.uniform(*np.log(OUTAGE_S), n))  # of the next outage of each vehicle
     while len(found) < task.outages:
         number, before = number + 1, len(found)
         estimator, cameras = new_estimator(tape, task), tape.cameras(seed_of(task, _OUTAGES, number))
@@ -293,7 +294,7 @@ def let_out(tape, task):
     return found[: task.outages]
 
 
-# --- the whole
+# --- all together
 
 
 def figures_of(tallies, arm):
@@ -323,7 +324,7 @@ def figures_of(tallies, arm):
 
 
 def within(squares, freedom):
-    """{mean, low95, high95}: the band is that of a mean of as many chi-square numbers, of each so much freedom."""
+    """{mean, low95, high95}: band of the mean of as many chi-square variables. freedom: degrees of freedom of each."""
     count = len(squares)
     if not count:
         return {"mean": None, "low95": None, "high95": None}
@@ -332,12 +333,12 @@ def within(squares, freedom):
 
 
 def share(total, seeds, k):
-    """Of a total, the part of the k-th of so many seeds."""
+    """The k-th seed's part of a total. seeds: how many there are."""
     return total // seeds + (k < total % seeds)
 
 
 def settings_of(args):
-    """(settings of the filter, PoseFitParams) that are not the usual ones, of the command line. Raises ValueError."""
+    """(settings of the filter, PoseFitParams) that the command line changes. Raises ValueError."""
     settings, pose_fit = {}, dict(NO_GATES) if args.gate == "off" else {}
     if args.gate == "off" and "gate_probability" in FILTERS.settings(args.estimator):
         settings["gate_probability"] = 0.0

@@ -1,4 +1,4 @@
-"""How accurate any controller can be in gusts: the one that knows plant, delay, noise and spectrum (H2-optimal).
+"""The best accuracy in gusts of any controller: the H2-optimal one, which knows plant, delay, noise and spectrum.
 
 Near hover each axis of a vehicle is linear, and so are the best estimator and the best controller of it (separation):
 
@@ -6,17 +6,17 @@ Near hover each axis of a vehicle is linear, and so are the best estimator and t
     p' = v,   v' = command - damping v + push                                                     up
     push' = -push / tau + white noise                                                             the gust
 
-Every frame measures position and tilt; the steady Kalman filter knows them best. A command is in force from a delay
-after its frame's exposure on, until the next one, 1/rate later. What is in force before is known, so the delay costs
-what gusts do meanwhile: the filter's state is predicted to the time of the command, which says the same as a chain of
-registers and takes delays of any length. The gain is that of the sampled loop with the mean of E[p^2] over all times,
-also those between commands, as its cost, and next to none on the command. The reference is feasible and known ahead,
-so it adds nothing.
+Every frame measures position and tilt; the steady Kalman filter estimates them best. A command takes effect one delay
+after its frame's exposure, and is held until the next one, 1/rate later. The commands before it are known, so the delay
+costs only what gusts do meanwhile: the filter's state is predicted to the time of the command, which is equivalent to a
+chain of registers and works for delays of any length. The gain is optimal for the sampled loop: its cost is the mean of
+E[p^2] over all times, also those between commands, with almost no weight on the command. The reference is feasible and
+known ahead, so it adds no error.
 
-Without a weight commands are as large as it takes, beyond what any vehicle obeys: a bound that no controller passes.
-With the weight that keeps their RMS within a part of the full scale, it is that of linear controllers whose commands
-are obeyed. Both trust their plant so much that they have next to no margins: `trade` says what margins cost. What real
-controllers pay besides: plants that are not their type, courses that tilt.
+Without a weight commands are as large as needed, beyond what any vehicle can follow: a bound that no controller beats.
+With a weight that keeps their RMS within a part of the full scale, it is the bound for linear controllers whose
+commands a vehicle can follow. Both trust their plant so much that they have almost no margins: `trade` gives the cost
+of margins. Not included is what real controllers lose by plants that differ from their type, and by courses that tilt.
 """
 
 import math
@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 
 from risc_lab.frames import GRAVITY_M_S2
 
-_INSTANTS = 16  # of the time between two commands, at which the error is looked at
+_INSTANTS = 16  # between two commands, at which the error is evaluated
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-16, 1e4  # [s^4] of a squared command, an acceleration, over that of a squared position
 _TRADE_S = 1.6, 1.8, 2.0, 2.5, 3.0, 4.0, 6.0  # largest |S|
 _TRADE_WEIGHTS, _TRADE_DOUBTS = np.geomspace(1e-5, 1.0, 16), (0.0, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.3)
@@ -55,10 +55,10 @@ def gust_limit_m(vehicle_type, pose_covariance, gust_m_s2, gust_time_s, latency_
     pose_covariance: (6, 6) of what motion capture measures in a frame, as `risc_estimation.pose_fit.Poses.covariances`
     gives it for a vehicle that is level and heads along x.   gust_m_s2: 1 sigma of the acceleration that gusts give the
     vehicle along each axis, first-order Gauss-Markov with the correlation gust_time_s.   latency_s: from the exposure
-    of a frame to a command made of it, beside the type's command_delay_s and, on average, half a frame.   frame_s: from
-    one frame to the next.   sigmas: so many times the RMS of a command stay within its full scale; 0: commands may be
-    of any size.
-    0 without gusts: then a known vehicle needs no feedback. Raises ValueError for numbers that cannot be.
+    of a frame to its command, without the type's command_delay_s and, on average, half a frame.   frame_s: from one
+    frame to the next.   sigmas: so many times the RMS of a command stay within its full scale; 0: commands may be of
+    any size.
+    0 without gusts: then a known vehicle needs no feedback. Raises ValueError for impossible numbers.
     """
     if min(gust_m_s2, latency_s, sigmas) < 0.0 or not min(gust_time_s, frame_s) > 0.0:
         numbers = gust_m_s2, latency_s, sigmas, gust_time_s, frame_s
@@ -74,7 +74,7 @@ def gust_limit_m(vehicle_type, pose_covariance, gust_m_s2, gust_time_s, latency_
 
 
 def _least(axis, times, most_m_s2):
-    """Least RMS of x[0] with a command of no larger RMS. times: as of `rms`."""
+    """Least RMS of x[0] with a command whose RMS is at most most_m_s2. times: last arguments of `rms`."""
 
     def found(log_weight):
         return rms(axis, optimal_gain(axis, times[1], 10.0**log_weight), *times)
@@ -90,7 +90,7 @@ def axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s):
     C, drag_1_s = np.asarray(pose_covariance, dtype=float), vehicle_type.drag_n_s_m / vehicle_type.mass_kg
     gust = -1.0 / gust_time_s, gust_m_s2 * math.sqrt(2.0 / gust_time_s)  # pole; density [m/s^3/sqrt(Hz)]
     axes = []
-    # thrust leans forward with a turn about y, to the left with one against x
+    # a turn about y tilts the thrust forward, a negative turn about x to the left
     for loop, position, turn, sense in (vehicle_type.pitch, 0, 4, 1.0), (vehicle_type.roll, 1, 3, -1.0):
         wn, zeta = loop.natural_frequency_rad_s, loop.damping_ratio
         A, b, g = np.zeros((5, 5)), np.zeros(5), np.zeros(5)
@@ -119,10 +119,10 @@ def optimal_gain(axis, hold_s, weight=_LEAST_WEIGHT):
 
 
 def rms(axis, K, delay_s, hold_s, frame_s):
-    """(RMS of x[0] of an Axis, RMS of u), over all time, with u = -K times the best that is known of x when it begins.
+    """(RMS of x[0] of an Axis, RMS of u), over all time, with u = -K times the best estimate of x at its start.
 
-    delay_s: from a frame to the begin of the command that is made of it.   hold_s: from a command to the next.
-    frame_s: from a frame to the next.   Raises ValueError for a K that does not hold it.
+    delay_s: from a frame to the start of its command.   hold_s: from a command to the next.
+    frame_s: from a frame to the next.   Raises ValueError for a K that does not stabilise the axis.
     """
     H, R = axis.H, axis.R
     Phi, _, W = _over(axis, frame_s)
@@ -134,8 +134,8 @@ def rms(axis, K, delay_s, hold_s, frame_s):
     loop, scale = matrix_balance(Phi - np.outer(Gamma, K), permute=False)
     if not np.abs(np.linalg.eigvals(loop)).max() < 1.0:
         raise ValueError("the loop with this gain is not stable: %r" % (K,))
-    told = np.linalg.solve(scale, np.linalg.solve(scale, Phi @ P @ Phi.T + W - P).T)  # what frames tell anew
-    known = scale @ solve_discrete_lyapunov(loop, told) @ scale.T  # covariance of what is known
+    told = np.linalg.solve(scale, np.linalg.solve(scale, Phi @ P @ Phi.T + W - P).T)  # of what new frames add
+    known = scale @ solve_discrete_lyapunov(loop, told) @ scale.T  # covariance of the estimate
     c, d, w = _error(axis, hold_s)
     moved = c - np.outer(d, K)
     errors = np.einsum("ti,ij,tj->t", moved, known, moved) + np.einsum("ti,ij,tj->t", c, P, c) + w
@@ -143,22 +143,22 @@ def rms(axis, K, delay_s, hold_s, frame_s):
 
 
 def sampled_loop(axis, K, doubt, delay_s, hold_s, frame_s):
-    """(RMS of x[0], largest |S|) of the loop with this K, and a filter that does not believe all it knows.
+    """(RMS of x[0], largest |S|) of the loop with this K, and a filter that assumes more noise than there is.
 
-    doubt: density of white noise on u [m/s^2/sqrt(Hz)] that the filter reckons with and that is not there: it makes the
-    loop robust, and the filter a worse one (loop transfer recovery).   |S|: broken at the command, up to half the rate
-    of the commands, as `risc_experiments.loop_margins` finds it in flights: from the commands that follow a pulse, one
-    command long, of which filter and predictor do not know.   Frames and delay are rounded, to whole parts of a hold
-    and to frames; the rest is as of `rms`. Raises ValueError for a loop that is not stable.
+    doubt: density of white noise on u [m/s^2/sqrt(Hz)] that the filter assumes and that is not there: it makes the loop
+    more robust, and the filter less accurate (loop transfer recovery).   |S|: broken at the command, up to half the
+    rate of the commands, as `risc_experiments.loop_margins` finds it in flights: from the commands that follow a pulse,
+    one command long, that filter and predictor do not know.   Frames and delay are rounded, to whole parts of a hold
+    and to frames; the rest is as in `rms`. Raises ValueError for a loop that is not stable.
     """
     n, H, frames = len(axis.b), axis.H, max(1, round(hold_s / frame_s))  # of a hold
     late = round(delay_s * frames / hold_s)  # frames
     Phi, Gamma, W = _over(axis, hold_s / frames)
-    R = axis.R * frame_s * frames / hold_s  # as much noise in all
+    R = axis.R * frame_s * frames / hold_s  # the same noise in total
     P = solve_discrete_are(Phi.T, H.T, W + doubt**2 * hold_s / frames * np.outer(axis.b, axis.b), R)
     L = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
 
-    # state: x, what is known of it, the command in force, those of the frames to come until the newest
+    # state: x, its estimate, the command in force, those of the frames to come until the newest
     size, now, newest = 2 * n + late + 1, 2 * n, 2 * n + late
     x, known, ahead = slice(0, n), slice(n, 2 * n), np.zeros((n, size))
     see, command, move = np.eye(size), np.eye(size), np.eye(size, k=1)
@@ -203,10 +203,10 @@ def sampled_loop(axis, K, doubt, delay_s, hold_s, frame_s):
 
 
 def trade(vehicle_type, pose_covariance, gust_m_s2, gust_time_s, latency_s=0.0, frame_s=0.005):
-    """[(largest |S| in any axis, least RMSE [m])]: what margins cost.
+    """[(largest |S| in any axis, least RMSE [m])]: the cost of margins.
 
-    Of controllers that are tuned by two numbers, weight of the command and doubt of the filter, so that others may do
-    better. No RMSE (infinite) where none has such margins. Arguments as of `gust_limit_m`.
+    Of controllers with two tuning parameters, weight of the command and doubt of the filter; others may do better.
+    Infinite RMSE where no controller has such margins. Arguments as for `gust_limit_m`.
     """
     times, fronts = _times(vehicle_type, latency_s, frame_s), []
     for axis in axes_of(vehicle_type, pose_covariance, gust_m_s2, gust_time_s):

@@ -29,7 +29,7 @@ CALIBRATIONS = {  # focal lengths, centre [px], k1, k2, p1, p2, k3; the first fo
 }
 DISTANCE_M = (0.7, 4.0)
 OBLIQUENESS_RAD = (0.0, math.radians(70.0))
-GAIN = (0.3, 2.0)  # drawn evenly on a logarithmic scale
+GAIN = (0.3, 2.0)  # log-uniform
 BLUR_PX = (0.0, 6.0)  # of the picture's middle; near and off the axis a little more
 
 _HALL_HALF_M = 6.5
@@ -110,7 +110,7 @@ def _sample(sequence, index, style, cameras, noise):
 
 
 def _camera_pose(rng, camera, exposure_s):
-    """Somewhere in the arena, any heading; turning so that the picture's middle moves by 0-6 px."""
+    """A random CameraPose in the arena, any heading; it turns so that the picture's middle moves by 0-6 px."""
     position = np.array([rng.uniform(-1.6, 1.6), rng.uniform(-1.3, 1.3), rng.uniform(0.7, 1.8)])
     R = rotation_body_to_cortex(*(rng.uniform(-1.0, 1.0, 3) * (0.12, 0.15, math.pi)))
     blur_px = rng.uniform(*BLUR_PX) if rng.random() < 0.7 else 0.0
@@ -126,7 +126,7 @@ def _discs(rng, style, camera, pose):
     count = rng.choice(len(_COUNT_SHARES), p=_COUNT_SHARES)
     discs, circles_px = [], []
     for template in rng.permutation([kind.name for kind in style.catalogue.landmarks])[:count]:
-        distance_m = math.sqrt(rng.uniform(DISTANCE_M[0] ** 2, DISTANCE_M[1] ** 2))  # as often as there is room
+        distance_m = math.sqrt(rng.uniform(DISTANCE_M[0] ** 2, DISTANCE_M[1] ** 2))  # uniform over an area
         obliqueness = rng.uniform(*OBLIQUENESS_RAD)
         leaning = rng.uniform(0.0, 2.0 * math.pi) if rng.random() < 0.3 else rng.choice((0.0, math.pi))
         reach_px = 0.6 * style.catalogue.discs.ring_diameter_m * camera.K[0, 0] / distance_m
@@ -151,8 +151,8 @@ def _discs(rng, style, camera, pose):
 def _props(rng, style, discs, pose):
     """(Props, how many of each kind, hues that no panel may have).
 
-    No ball of a centre's colour is put before a panel in the colour of the ring that belongs to it: that would be a
-    landmark to any eye.
+    No ball of a centre's colour is put before a panel in the colour of the ring that belongs to it: that would look
+    like a landmark.
     """
     position = np.asarray(pose.position_m)
     balls = [str(rng.choice(sorted(_HUES))) for _ in range(rng.choice(3, p=(0.6, 0.28, 0.12)))]

@@ -15,7 +15,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 RATE_HZ = 200
-BEARING_EVERY = 14  # frames: about 15 Hz, whatever the pictures' rate
+BEARING_EVERY = 14  # frames: about 15 Hz, at any picture rate
 LAP_S = 6  # after which everything repeats but the stamps
 START_S = 1_500_000_000
 VEHICLES = ("fluffy_II", "albatross", "Raven")
@@ -149,7 +149,7 @@ class LongBag:
         return self._new("risc_msgs/msg/Mocap_data", Obj=bodies)
 
     def _bearings(self):
-        """Every vehicle sees every other one, always straight ahead: right or not is no matter of memory."""
+        """Every vehicle sees every other one, always straight ahead: the values do not affect the memory."""
         angle, angles = (self._store.types["risc_msgs/msg/" + name] for name in ("Angle", "Angles"))
         return self._new("risc_msgs/msg/Observed_angles", Obj=[
             angles(name, [], [angle(other, True, 0.0, 0.0) for other in VEHICLES if other != name])
@@ -165,7 +165,7 @@ class LongBag:
 
 
 def measure(bag, folder):
-    """Make the report in a process of its own. Returns (seconds, peak memory [MB]); its output goes to ours."""
+    """Make the report in a process of its own. Returns (seconds, peak memory [MB]); its errors are printed."""
     begin_s = time.monotonic()
     command = [sys.executable, "-c", MEASURED, str(bag), "--out", str(folder)]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)

@@ -1,4 +1,4 @@
-"""What is really where in a rendered picture, to measure detectors on."""
+"""True content of rendered pictures, to measure detectors on."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _TRUTH_RASTER = 128  # cells along the longer side of an outline in which its vi
 
 @dataclass(frozen=True)
 class Truth:
-    """What is really to be seen of one object. Pixels as in risc_lab.camera, at the middle of the exposure."""
+    """True appearance of one object. Pixels as in risc_lab.camera, at the middle of the exposure."""
 
     name: str
     kind: str  # "landmark" or "vehicle"
@@ -31,7 +31,7 @@ class Truth:
 
 
 class LabelledRenderer(Renderer):
-    """A Renderer that also tells what is to be seen."""
+    """A Renderer that also gives the truth of its pictures."""
 
     def truth(self, pose, vehicles=(), boards=()):
         """List of Truth, nearest last: landmarks that face the camera and vehicles whose outline meets the picture.
@@ -116,7 +116,7 @@ class LabelledRenderer(Renderer):
         outline_m = thing.outline(thing.centre_diameter_m)
         pixels = self.project(outline_m, pose)
         scale = 1.0
-        if not np.isfinite(pixels).all():  # a part is nowhere: go by the middle of it
+        if not np.isfinite(pixels).all():  # a part is not projected: use its middle
             scale = 0.1
             pixels = self.project(thing.centre_m + scale * (outline_m - thing.centre_m), pose)
         if not np.isfinite(pixels).all():

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Planning ways and sampling references by the number of vehicles: times, and the largest gap in the references."""
+"""Times to plan ways and to sample references, by the number of vehicles, and the largest gap in the references."""
 
 import argparse
 import itertools
@@ -38,7 +38,7 @@ def manager_of(course, vehicles):
 
 
 def planned(manager, now_s):
-    """Seconds of CPU that it takes to plan what the manager wants planned; it flies the plan."""
+    """CPU time [s] to plan the manager's task; the manager accepts the plan."""
     task, started = manager.task, time.thread_time()
     plan = plan_ways(task)
     took_s = time.thread_time() - started
@@ -58,7 +58,7 @@ def microseconds(sample, now_s):
 
 
 def largest_gap_s(manager):
-    """Between two references of a 200 Hz thread while ways are planned in this one."""
+    """Largest time [s] between two references of a 200 Hz thread while ways are planned in this one."""
     lock, ticks, done = threading.Lock(), [], threading.Event()
     epoch_s = time.monotonic()
 

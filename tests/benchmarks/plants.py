@@ -1,10 +1,10 @@
 """How accurately the default controller flies plants that it does not know: `./maap bench plants`.
 
-Simulated, offline: three AR.Drones, every seed with another heading, whose plant is that of their type but for what the
-row says. The link delay is 0.1 s, and the controller believes that. `loops` are those of roll and pitch.
+Simulated, offline: three AR.Drones, every seed with another heading, whose plant is that of their type except for what
+the row says. The controller assumes a link delay of 0.1 s. `loops` are those of roll and pitch.
 
-One change of 30 % of the attitude loops, of 50 ms, or of 10 % of mass or thrust may cost 15 mm of RMSE, several
-together 50 mm, of each vehicle of each seed. Returns 1 when one needs more, or does not come to its end.
+With one change of 30 % of the attitude loops, of 50 ms, or of 10 % of mass or thrust, the RMSE of each vehicle of each
+seed may be 15 mm; with several together, 50 mm. Returns 1 when one is larger, or a flight does not come to its end.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Where the processor time of a flight goes: every program, milliseconds per mocap frame, by what it does.
 
-A flight is flown. On the course the kernel's account of every program is taken, undisturbed; then one program after
-the other is sampled by py-spy (threads that hold Python's lock), and the samples share out its time. Programs without
-Python are looked at by perf, where the kernel allows it: what it cannot tell apart is "the rest".
+On the course of a flight, the kernel's processor times of all programs are read, undisturbed; then one program after
+the other is sampled by py-spy (threads that hold Python's lock), and its time is divided in proportion to the samples.
+Programs without Python are sampled by perf, where the kernel allows it: what it cannot tell apart is "the rest".
 """
 
 import argparse
@@ -27,7 +27,7 @@ FRAME_RATE_HZ = 200.0
 SECONDS = 8.0  # of samples of each program
 SAMPLES_HZ = 250
 SETTLE_S = 12.0  # from take-off to the course
-LEAST_CORES = 0.003  # of a program that is looked at
+LEAST_CORES = 0.003  # programs that use less are left out
 
 # Kinds of work. A stack is searched from its innermost frame outwards: the first that fits counts.
 KINDS = (
@@ -57,7 +57,7 @@ def kind_of(stack):
 
 
 def sampled(pid, folder):
-    """Counter of samples by kind of a Python program, empty when it is none."""
+    """Counter of a Python program's samples, by kind; empty for any other program."""
     raw = folder / ("%d.txt" % pid)
     command = ["py-spy", "record", "--gil", "--nonblocking", "--format", "raw", "--pid", str(pid)]
     command += ["--duration", "%d" % SECONDS, "--rate", "%d" % SAMPLES_HZ, "--output", str(raw)]
@@ -70,7 +70,7 @@ def sampled(pid, folder):
 
 
 def sampled_natively(pid, folder):
-    """The same by perf: of the program's symbols, and those of the kernel. Empty when perf is not allowed."""
+    """Counter of samples by perf, by kind, of symbols of program and kernel; empty when perf is not allowed."""
     data = folder / ("%d.perf" % pid)
     if shutil.which("perf") is None:
         return Counter()
@@ -112,7 +112,7 @@ def use_of(processes):
 
 
 def look(process, user, system, folder):
-    """{column: milliseconds per frame} and {"cores": ...} of a program that uses so many cores."""
+    """{column: milliseconds per frame} and {"cores": ...} of a program. user, system: cores that it uses."""
     counts = sampled(process.pid, folder)
     row = dict.fromkeys(COLUMNS, 0.0)
     shared = user

@@ -1,4 +1,4 @@
-"""What a recording costs: our recorder and `rosbag record` in turn, of the same messages.
+"""Processor time of a recording: our recorder and `rosbag record` in turn, of the same messages.
 
 One process publishes ten topics at 200 Hz; the processor time is that of the recorder's process, from its start to the
 end of the bag.
@@ -34,7 +34,7 @@ RECORDERS = {
 
 @contextlib.contextmanager
 def program(command, environment, **options):
-    """It runs while the block does."""
+    """Run a program while the block runs."""
     process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, **options)
     try:
         yield process
@@ -45,7 +45,7 @@ def program(command, environment, **options):
 
 
 def record(command, seconds, folder):
-    """One recording: processor time [s], and how many messages are in the bag."""
+    """Make one recording. Returns its processor time [s], and how many messages are in the bag."""
     bag = folder / "recording.bag"
     port = free_tcp_port()
     environment = dict(
@@ -70,7 +70,7 @@ def record(command, seconds, folder):
         print(json.dumps(order), file=talker.stdin, flush=True)
         if talker.stdout.readline() != "published\n":
             raise RuntimeError("the talker ended before it had published everything")
-        time.sleep(1.0)  # what is on its way arrives
+        time.sleep(1.0)  # messages on their way arrive
         recorder.send_signal(signal.SIGINT)
         _, status, usage = os.wait4(recorder.pid, 0)
         recorder.returncode = os.waitstatus_to_exitcode(status)

@@ -1,11 +1,11 @@
-"""What more vehicles cost: the whole graph, motion capture to states alone, and the closed loop offline.
+"""The cost of more vehicles: the whole graph, motion capture to states alone, and the closed loop offline.
 
-graph        `maap fly` with so many vehicles (simulated); latency from the datagram to cmd_vel
-estimation   virtual cameras -> stream_markers -> states_estimation -> a subscriber, so many bodies of five markers
-             that stand in the net; latency from the datagram to the states
-offline      the closed loop without ROS, on one core, as fast as it goes
+graph        `maap fly` with N vehicles (simulated); latency from the datagram to cmd_vel
+estimation   virtual cameras -> stream_markers -> states_estimation -> a subscriber, N bodies of five markers that
+             stand in the net; latency from the datagram to the states
+offline      the closed loop without ROS, on one core, as fast as possible
 
-Loaded: a program that never waits takes what it can of one core meanwhile. A row is a process of its own, or a flight.
+Loaded: a busy loop takes what it can of one core meanwhile. Each row is a process of its own, or a flight.
 """
 
 import argparse
@@ -69,12 +69,12 @@ for rate_hz in (100, 200):
 """,
     "gym-pybullet-drones": "raise SystemExit('it can be had now, and no flight of it is written here')",
 }
-PEER_S = 600.0  # that its installation may take, and its flight
+PEER_S = 600.0  # limit for a peer's installation, and for its flight
 
 
 @contextlib.contextmanager
 def busy_loop(wanted):
-    """A program that never waits, while the block runs."""
+    """Run a program that never waits, while the block runs."""
     program = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if wanted else None
     try:
         yield
@@ -85,7 +85,7 @@ def busy_loop(wanted):
 
 
 def graph(vehicles, args):
-    """Figures of a flight. It is told its rate, and so does not go on at less on a computer that is too slow."""
+    """Figures of a flight. Its rate is given, so it does not continue at a lower one on a computer that is too slow."""
     folder = args.folder
     command = [sys.executable, "-m", "risc_experiments.fly", "--vehicles", str(vehicles), "--seed", str(SEED)]
     command += ["--trajectory", COURSE, "--duration", "%g" % args.seconds, "--mocap-rate", "%g" % RATE_HZ]
@@ -179,7 +179,7 @@ def estimation(bodies, args):
 
 
 def _of_five_markers(fleet):
-    """The fleet, all of its bodies of generated hulls: those of the laboratory have four or five markers."""
+    """The fleet with generated hulls for all bodies: those of the laboratory have four or five markers."""
     from risc_lab.lab import generated_fleet
 
     many = generated_fleet(len(fleet.vehicles) + 5)
@@ -239,7 +239,7 @@ def row_of(kind, vehicles, loaded, options):
 
 
 def slopes(rows):
-    """Lines through the rows of one kind, load by load: [(kind, loaded, figure, at 0 vehicles, for each more)]."""
+    """Straight lines through the rows of each kind and load: [(kind, loaded, figure, at 0 vehicles, per vehicle)]."""
     found = []
     for kind in COUNTS:
         for loaded in (False, True):
@@ -259,7 +259,7 @@ def slopes(rows):
 def peers(rows):
     """[{name, rate_hz, times_real_time, ratio}] of simulators from PyPI, one vehicle on a circle, offline.
 
-    ratio: how many times as fast we are, in the same run of this program. One that cannot be installed is told.
+    ratio: how many times as fast we are, in the same run of this program. Those that cannot be installed are named.
     """
     ours = next((r["times_real_time"] for r in rows if r["kind"] == "offline" and r["vehicles"] == 1), None)
     found = []
@@ -295,7 +295,7 @@ def _run_peer(folder, package, program):
 
 
 def computer():
-    """One line that says on what was measured."""
+    """One line that describes this computer."""
     with open("/proc/cpuinfo", encoding="utf-8") as info:
         model = next((line.partition(":")[2].strip() for line in info if line.startswith("model name")), "unknown")
     return "%s, %d cores, %.0f GB" % (model, psutil.cpu_count(), psutil.virtual_memory().total / 1e9)

@@ -1,4 +1,4 @@
-"""The serial line of an IRIS+: how soon it is back after damage, and from a ROS message to the board and the radio.
+"""The serial line of an IRIS+: recovery time after damage, and time from a ROS message to the board and the radio.
 
 First the node's link and the board's firmware in simulated time, at 57600 baud, with seeded damage. Then serial_node
 itself in real time, with a master of its own, on a pseudo-terminal whose other end is the firmware's build for this
@@ -40,13 +40,13 @@ STEP_S = 0.001
 APART_S = 0.5  # between two damages, at least; up to twice that
 STEP_US, STEP_FRACTION = 5, 0.01
 STEPS = 20  # of a channel: from any to any other within one frame (slew limit: 100 us), without confirmation
-COMMANDS = STEPS**3  # that roll, pitch and yaw can tell apart: a frame tells which command it shows
-# damage; above 0.3 s the link is lost, above 0.5 s it is the failsafe, above 2.5 s the board may have another sketch
+COMMANDS = STEPS**3  # that differ in roll, pitch and yaw: a frame tells which command it shows
+# of damage; after 0.3 s the link is lost, after 0.5 s the failsafe acts, after 2.5 s the board may have another sketch
 SHORT_S, LONG_S, LONGEST_S = (0.002, 0.06), (0.1, 2.0), (3.0, 6.0)
 UNPLUGGED_S = (0.05, 2.0)
 WARM_UP = 20  # messages that do not count
 PATIENCE_S = 60.0
-REQUIRED_BACK_S, REQUIRED_NOTICED_S = 0.1, 0.3  # of the 99th percentile; of the worst
+REQUIRED_BACK_S, REQUIRED_NOTICED_S = 0.1, 0.3  # limits: of the 99th percentile; of the worst
 
 
 def controls(number, stamp_s=0.0):
@@ -90,8 +90,8 @@ class Chain:
     def __init__(self):
         self.link, self.board, self.receiver = Link(), Board(), PpmReceiver()
         self.now_s = 0.0
-        self.to_board = self.to_host = lambda data: data  # what the line makes of bytes
-        self.heard_s = []  # when sound packets came
+        self.to_board = self.to_host = lambda data: data  # how the line changes bytes
+        self.heard_s = []  # when intact packets came
         self.frames = []  # (begin, number of the command that it shows), without those that show none
         self.posted_s = []  # when commands were given, by their numbers
         self.plugged_in = True
@@ -132,12 +132,12 @@ class Chain:
                     self.frames.append((1e-6 * begin_ticks / TICKS_PER_US, number))
 
     def unplug(self):
-        """The port is gone, the board runs on."""
+        """Remove the port; the board runs on."""
         self.link.closed(self.now_s, is_gone=True)
         self.plugged_in = False
 
     def plug_in(self, resets):
-        """The port is opened again. resets: opening it resets the board."""
+        """Open the port again. resets: opening it resets the board."""
         if resets:
             self.board.reset()
         self.plugged_in, self._due_s = True, self.now_s
@@ -157,13 +157,13 @@ class Chain:
         self._due_s = self.link.due_s(self.now_s)
 
     def back_s(self, since_s):
-        """(until a sound packet comes, until the signal shows a command that was given later) [s]; inf: not yet."""
+        """(until an intact packet comes, until the signal shows a command that was given later) [s]; inf: not yet."""
         heard_s = next((at_s for at_s in self.heard_s if at_s > since_s), np.inf)
         first = bisect.bisect_left(self.posted_s, since_s)
         return heard_s - since_s, *delays_s([(since_s, first)], self.frames)
 
     def forget(self):
-        """What was heard and seen until now."""
+        """Forget what was heard and seen until now."""
         del self.heard_s[:], self.frames[:]
 
     def close(self):
@@ -171,7 +171,7 @@ class Chain:
 
 
 def noise(rng):
-    """Bytes are damaged, and others come between them."""
+    """Damage bytes, and insert others."""
 
     def damage(data):
         spoilt = bytes(byte ^ rng.randrange(256) if rng.random() < 0.3 else byte for byte in data)
@@ -181,12 +181,12 @@ def noise(rng):
 
 
 def loss(rng):
-    """Bytes get lost."""
+    """Lose bytes."""
     return lambda data: bytes(byte for byte in data if rng.random() < 0.3)
 
 
 def cut(_rng):
-    """No byte arrives."""
+    """Lose all bytes."""
     return lambda data: b""
 
 
@@ -200,15 +200,15 @@ SEEN = {"host": "host hears", "signal": "signal follows"}
 
 
 def percentiles(values_s):
-    """Dict of milliseconds."""
+    """Dict of percentiles and maximum, in milliseconds."""
     p50, p90, p99 = np.percentile(values_s, (50, 90, 99), method="higher")
     return {"p50_ms": 1e3 * p50, "p90_ms": 1e3 * p90, "p99_ms": 1e3 * p99, "max_ms": 1e3 * max(values_s)}
 
 
 def after_damage(what, trials, lasts_s, seed=1):
-    """{"host", "signal": percentiles}: until a sound packet comes (of damage to the host), until the signal follows.
+    """{"host", "signal": percentiles}: until an intact packet comes (of damage to the host), until the signal follows.
 
-    lasts_s: bounds of how long each damage lasts. It begins at any moment.
+    lasts_s: bounds of how long each damage lasts. It begins at a random time.
     """
     kind, to_host, to_board = DAMAGES[what]
     rng, chain, back_s = random.Random(seed), Chain(), []
@@ -227,7 +227,7 @@ def after_damage(what, trials, lasts_s, seed=1):
 
 
 def after_unplugging(resets, trials, seed=1):
-    """{"host", "signal": percentiles}: from opening the port again. resets: that resets the board."""
+    """{"host", "signal": percentiles}: from opening the port again. resets: whether that resets the board."""
     rng, chain, back_s = random.Random(seed), Chain(), []
     chain.run(3.0)
     for _ in range(trials):
@@ -329,7 +329,7 @@ def machine_code():
 
 @contextlib.contextmanager
 def graph(*nodes):
-    """A master of our own with some nodes, and this program a node of it."""
+    """Run a master of our own with some nodes; this program is a node, too."""
     with contextlib.ExitStack() as stack, socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
         folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -376,7 +376,7 @@ def through_the_node(messages, board):
 
 
 def delays_s(sent, seen):
-    """How long after each command that, or a later one, was seen [s]; inf: none was. Both: (when, number), in order."""
+    """Time [s] from each command until it, or a later one, was seen; inf: never. Both: (when, number), in order."""
     return [
         next((at_s for at_s, shown in seen if at_s > sent_s and shown >= number), np.inf) - sent_s
         for sent_s, number in sent
@@ -388,8 +388,8 @@ def line_of(name, row):
 
 
 def main(arguments=None):
-    """Command line. Returns 1 when the line takes longer to be back, or its loss to be noticed, than is required; the
-    node's times are told.
+    """Command line. Returns 1 when the line takes longer to recover, or its loss to be noticed, than is required; the
+    node's times are only printed.
     """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=300, help="damages of each kind (default: %(default)s)")

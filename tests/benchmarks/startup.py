@@ -31,17 +31,17 @@ NODES = {  # name: (package, program, topics that it listens to before it is of 
 }
 POLL_S = 0.01
 MOST_S = 60.0
-QUIET_S = 0.5  # without another registration: that one was the last
+QUIET_S = 0.5  # after a registration, without another one: it was the last
 
 
 @contextlib.contextmanager
 def program(command, environment):
-    """It runs while the block does."""
+    """Run a program while the block runs."""
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield process
     finally:
-        process.kill()  # rospy may wait for itself for ever when it is interrupted while it registers something
+        process.kill()  # rospy may wait for itself forever when it is interrupted while it registers something
         process.wait()
 
 
@@ -78,7 +78,7 @@ def start_s(name, repetition, vehicles, master, environment):
 
 
 def measure(count, repetitions):
-    """{node: median of its start [s]} for so many vehicles."""
+    """{node: median of its start-up time [s]} for `count` vehicles."""
     fleet = generated_fleet(count)
     port = free_tcp_port()
     uri = "http://127.0.0.1:%d" % port

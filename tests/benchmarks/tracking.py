@@ -1,17 +1,17 @@
 """How accurately courses are flown, beside the least error that any controller could have: `./maap bench tracking`.
 
 Simulated, offline: three AR.Drones with the default controller, every seed with another heading. `--gust A`: moving air
-gives each vehicle an acceleration of so much (1 sigma along each axis, 0.5 s of correlation). `--loss P`, `--swap P`:
-frames are lost, and two markers of a vehicle have each other's label, in each frame with this probability.
-`--jitter S`: each frame arrives later by a time of its own, up to this. Gusts are no part of a perturbed plant.
+gives each vehicle an acceleration of A m/s^2 (1 sigma along each axis, correlation time 0.5 s). `--loss P`, `--swap P`:
+in each frame, with this probability, the frame is lost, or two markers of a vehicle exchange their labels.
+`--jitter S`: each frame is late by a random time of up to S. Gusts are not part of a perturbed plant.
 
 Without gusts each course has limits (`most_m`): 5 mm of RMSE in the median of all vehicles, 12 mm for 95 % and 20 mm
 for all of them; 8 mm in the median with lost, late or swapped frames, 10 mm with a delay of more than 0.1 s.
 
 limit_m is that of `h2_limit.py`: a controller that knows the nominal plant, the delay, the noise of a pose
-and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands are of any size;
-limit_in_scale_m: three times their RMS is within the full scale of the type. Both have next to no margins, and `trade`
-says what these cost: the least RMSE of such controllers, tuned by two numbers, with no larger |S| than so. `--plot`
+and the spectrum of the gusts, and loses no frame. It is 0 without gusts. Its commands may be of any size; for
+limit_in_scale_m, three times their RMS is within the full scale of the type. Both have almost no margins; `trade` gives
+the cost of margins: the least RMSE of such controllers, with two tuning parameters, for each largest |S|. `--plot`
 draws it, and the controller that was flown beside it, with the max|S| that `loop_margins.py` finds.
 """
 
@@ -45,7 +45,7 @@ GUST_TIME_S = 0.5
 SIGMAS_IN_SCALE = 3.0
 CALM_MOST_M = {"rmse_median_m": 0.005, "rmse_p95_m": 0.012, "rmse_worst_m": 0.020}
 FRAMES_MOST_M, LATE_MOST_M = {"rmse_median_m": 0.008}, {"rmse_median_m": 0.010}
-HARDEST = {"gust": 0.0, "delay": 0.3, "loss": 0.05, "swap": 0.01, "jitter": 0.02}  # what limits are for
+HARDEST = {"gust": 0.0, "delay": 0.3, "loss": 0.05, "swap": 0.01, "jitter": 0.02}  # up to these, there are limits
 
 
 def flight_of(args):
@@ -66,7 +66,7 @@ def flight_of(args):
 
 
 def limits_of(flight, gust_m_s2):
-    """{limit_m, limit_in_scale_m, trade} of the first vehicle of a Flight in gusts, as its type is."""
+    """{limit_m, limit_in_scale_m, trade} of the first vehicle of a Flight in gusts, with the plant of its type."""
     fleet, _, (vehicle_type, *_) = lab_of(flight)
     covariance = pose_covariance(load_templates(fleet=fleet)[fleet.vehicles[0].template])
     case = vehicle_type, covariance, gust_m_s2, GUST_TIME_S, LATENCY_S, FRAME_S
@@ -80,14 +80,14 @@ def limits_of(flight, gust_m_s2):
 
 
 def own_max_s(flight):
-    """Largest |S| of roll and pitch of the loop that flies a Flight, whose plant is nominal in this."""
+    """Largest |S| of roll and pitch of the loop that flies a Flight, here with a nominal plant."""
     hovering = replace(flight, perturbed=False, gusts=False, wire_faults=())
     answers = loop_margins.responses(hovering).T
     return max(loop_margins.margins(loop_margins.sensitivity(answer)).max_s for answer in answers[:2])
 
 
 def draw_trade(path, limits, flown, max_s, title):
-    """Picture of what margins cost. flown: {name: RMSE [m]} of courses by the controller, which has this max|S|."""
+    """Draw the cost of margins. flown: {name: RMSE [m]} of courses by the controller, which has this max|S|."""
     figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
     points = [(point["max_s"], 1e3 * point["rmse_m"]) for point in limits["trade"]]
     axes.plot(*zip(*points), "o-", color=COLOURS[0], label="knows plant, delay, noise and gusts; max|S| bounded")
@@ -112,7 +112,7 @@ def pose_covariance(template):
 
 
 def accuracy_of(results):
-    """Figures of flights; without numbers for the worst when one of them did not come to its end."""
+    """Figures of flights; p95 and worst are None when one of them did not come to its end."""
     flown = [result for result in results if not isinstance(result, RuntimeError) and not any(result.landed)]
     errors_m, failed = [error_m for result in flown for error_m in result.rmse_m.tolist()], len(results) - len(flown)
     return {
@@ -125,7 +125,7 @@ def accuracy_of(results):
 
 
 def most_m(args):
-    """{figure: what it may be at most [m]}; none for what is harder than HARDEST."""
+    """{figure: its limit [m]}; {} for conditions harder than HARDEST."""
     if any(getattr(args, option) > most for option, most in HARDEST.items()):
         return {}
     if args.delay > 0.1:
@@ -139,7 +139,7 @@ def is_met(row):
 
 
 def main(arguments=None):
-    """Print a table; with --json also write it. Returns 1 when a limit is missed, or a flight not come to its end."""
+    """Print a table; with --json also write it. Returns 1 when a limit is missed, or a flight did not finish."""
     parser = argparse.ArgumentParser(prog="maap bench tracking", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--plant", choices=("nominal", "perturbed"), default="perturbed", help="vehicles as their type is, or drawn "

@@ -3,8 +3,8 @@
 Simulated: labelled_pictures.py, seeded. A landmark counts when all of it is seen and its centre disc is at
 least 14 px across; smaller and cut ones have rows of their own. A detection where no landmark of its name is counts as
 false.
-Times are those of one thread of this computer (OpenCV on one core), the best of three runs on each picture: what other
-programs do to the caches does not count.
+Times are those of one thread of this computer (OpenCV on one core), the best of three runs on each picture, so that
+the effect of other programs on the caches does not count.
 """
 
 import argparse
@@ -44,7 +44,7 @@ BEGIN, END = ("<!-- ./maap bench vision: %s -->" % word for word in ("begin", "e
 
 @dataclass
 class Count:
-    """What was found of some landmarks."""
+    """Detections of some landmarks."""
 
     wanted: int = 0
     found: int = 0
@@ -55,7 +55,7 @@ class Count:
     normalised: list = field(default_factory=list)  # squared errors over their covariances, 1 on average when right
 
     def row(self):
-        """Figures as plain numbers; None where there is nothing to say."""
+        """Figures as plain numbers; None without data."""
         claimed = self.found + self.false
         return {
             "wanted": self.wanted,
@@ -76,7 +76,7 @@ def _percentile(values, percent):
 
 
 class Judge:
-    """Compares detections with the truth and keeps the books."""
+    """Compares detections with the truth and counts the results."""
 
     def __init__(self, config):
         self._roi = {kind.name: kind.roi_name for kind in config.landmarks}
@@ -148,7 +148,7 @@ class Judge:
             count.errors_guessed_px.append(math.hypot(other.x - truth.centre_px[0], other.y - truth.centre_px[1]))
 
     def _false(self, sample, detection):
-        """A false detection counts where one of its looks would: of its size, as far away, as oblique."""
+        """Count a false detection in the bins of a landmark that looks like it: its size, distance, obliqueness."""
         major, minor = 2.0 * detection.outline.semi_major, 2.0 * detection.outline.semi_minor
         self.total.false += 1
         values = {
@@ -325,7 +325,7 @@ def _text(value, form="%.2f"):
 
 
 def write_sheets(crops, folder):
-    """hits.png, misses.png, false.png in a folder; those of former runs vanish."""
+    """Write hits.png, misses.png, false.png into a folder; those of earlier runs are removed."""
     folder.mkdir(parents=True, exist_ok=True)
     for kind, pieces in crops.items():
         path = folder / (kind + ".png")
@@ -341,7 +341,7 @@ def write_sheets(crops, folder):
 
 
 def write_tables(text, path):
-    """Into a document that has the marks BEGIN and END: between them; else the file is the tables.
+    """Write the tables into a document, between its marks BEGIN and END; without marks, the file is the tables.
 
     Raises ValueError for a document with one of the marks only, OSError.
     """
@@ -355,7 +355,7 @@ def write_tables(text, path):
 
 
 def met(figures):
-    """Names of what misses its aim."""
+    """Names of the figures that miss their aims."""
     reached = dict(figures["total"], ms_mean=figures["ms"]["mean"])
     missed = [key for key in ("recall", "precision") if reached[key] is None or reached[key] < REQUIRED[key]]
     return missed + [

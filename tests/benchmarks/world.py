@@ -59,14 +59,14 @@ def make_fleet(count, kind="ardrone"):
 def make_world(count, kind="ardrone", seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
     fleet = make_fleet(count, kind)
-    # nobody corrects what they do: vehicles that are not level would fly into each other
+    # without control, vehicles that are not level would fly into each other: plants are nominal
     types, templates = {kind: load_vehicle_type(kind)}, load_templates(fleet=fleet)
     world = World(fleet, types, templates, seed=seed, perturbed=False)
     return world, [vehicle.start.position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
 def start_flight(world, places_m, duration_s):
-    """Let them fly to and fro around the places for duration_s [s] of world time, from now on."""
+    """Let the vehicles fly to and fro around the places for duration_s [s] of world time, from now on."""
     for index, (vehicle, place_m) in enumerate(zip(world.vehicles.values(), places_m)):
         vehicle.fly_at(place_m)
         if vehicle.type.name == "iris":
@@ -78,7 +78,7 @@ def start_flight(world, places_m, duration_s):
 
 
 def _command(kind, swing):
-    """To and fro."""
+    """Command to fly to and fro. swing: phase [rad]."""
     c, s = math.cos(swing), math.sin(swing)
     if kind == "iris":
         return RcFrame((1500 + round(50 * c), 1500 + round(50 * s), 1500 + round(150 * s), 1520))
@@ -94,7 +94,7 @@ def fly(world, places_m, duration_s):
 
 
 def watch(world, places_m, duration_s):
-    """The same, seen by cameras in every step. Returns the median times [us] of a step and of a frame."""
+    """Fly, seen by cameras in every step. Returns the median times [us] of a step and of a frame."""
     cameras = MocapCameras(seed=0)
     start_flight(world, places_m, duration_s)
     start_s, step_s, frame_s = world.time_s, [], []
@@ -134,8 +134,8 @@ def measure(count, kind="ardrone", repeats=REPEATS, duration_s=None):
 
 
 def measure_lab(count, kind="ardrone", take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
-    """{"lab_cores", "lab_late_ms", "lab_flying"}: what the lab takes, the 99th percentile of its lateness, and how many
-    vehicles fly at the end."""
+    """{"lab_cores", "lab_late_ms", "lab_flying"}: cores that the lab uses, the 99th percentile of its lateness, and how
+    many vehicles fly at the end."""
     fleet = make_fleet(count, kind)
     lab = VirtualLab(fleet, live=True)
     pilots = multiprocessing.get_context("fork").Process(target=_PILOTS[kind], args=(fleet,), daemon=True)
@@ -157,7 +157,7 @@ def measure_lab(count, kind="ardrone", take_off_s=LAB_TAKE_OFF_S, measured_s=LAB
 
 
 def _pilot_ardrones(fleet):
-    """A client of each vehicle: commands at the rate of a driver, and what it sends back is read. Until terminated."""
+    """A client for each vehicle: sends commands at the rate of a driver, reads what comes back. Until terminated."""
     with contextlib.ExitStack() as stack:
         clients = []
         for vehicle in fleet.vehicles:
@@ -183,7 +183,7 @@ def _pilot_ardrones(fleet):
 
 
 def _pilot_irises(fleet):
-    """Two clients of each vehicle: Controls over its serial line, and telemetry at 10 Hz. Until terminated."""
+    """Two clients for each vehicle: Controls over its serial line, and telemetry at 10 Hz. Until terminated."""
     with contextlib.ExitStack() as stack:
         clients = []
         for vehicle in fleet.vehicles:

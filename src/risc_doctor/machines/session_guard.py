@@ -3,12 +3,12 @@
 
 coop.sh starts it. It runs the command and passes its exit code on. When its output is not read any more, the session
 is over: every process of the launch gets SIGINT, and SIGKILL when that did not help. roslaunch alone would keep its
-nodes running for ever when it cannot reach the base station.
+nodes running forever when it cannot reach the base station.
 
-Before that it looks for what another launch has left on this host. A launch is known by the XML-RPC server of its
+Before that it looks for processes of another launch on this host. A launch is identified by the XML-RPC server of its
 parent, the roslaunch of the base station (`-u`; the `--run_id` is the master's and may be equal for two launches). If
-that parent is gone, its processes are ended first; if it answers, we do not start: there must
-not be two drivers of one vehicle. RISC_MAAP_ALLOW_SECOND=1 allows it, for launches that share no vehicle.
+that parent is gone, its processes are ended first; if it answers, we do not start: there must not be two drivers of
+one vehicle. RISC_MAAP_ALLOW_SECOND=1 allows it, for launches that share no vehicle.
 """
 
 import argparse
@@ -42,9 +42,9 @@ POLL_S = 0.1
 
 
 def marked_processes():
-    """{session: {pid: node}} of what launches have started on this host, as far as this login may see it.
+    """{session: {pid: node}} of the processes that launches have started on this host, if this login can see them.
 
-    session: value of MARK.  node: its ROS name, "" of other processes.
+    session: value of MARK.  node: its ROS name, "" for other processes.
     A host is a network namespace: what runs in a container with addresses of its own is on another one.
     """
     host, found = os.readlink("/proc/self/ns/net"), {}
@@ -94,7 +94,7 @@ def is_alive(uri):
 
 
 def make_way(uri, name):
-    """End what launches that are gone have left on this host. Returns the reason why we must not start, or ""."""
+    """End processes that were left on this host by launches that are gone. Returns why we must not start, or ""."""
     for session, processes in marked_processes().items():
         other_uri, _, other_name = session.partition(" ")
         if other_uri == uri and other_name != name:
@@ -123,7 +123,7 @@ def say(text):
 
 
 def run(command, session, started):
-    """Run the command until it ends or its session is over. Calls started() when it is there. Returns its exit code."""
+    """Run the command until it ends or its session is over. Calls started() once it runs. Returns its exit code."""
     wake_read, wake_write = os.pipe()
     os.set_blocking(wake_write, False)
     signal.set_wakeup_fd(wake_write)
@@ -141,7 +141,7 @@ def run(command, session, started):
                 reason = max([reason] + [number for number in os.read(wake_read, 64) if number != signal.SIGCHLD])
             else:
                 reason = signal.SIGHUP
-    end(session)  # whatever the reason: a roslaunch that was killed leaves its nodes behind
+    end(session)  # in any case: a roslaunch that was killed leaves its nodes behind
     if reason:
         child.wait()
         return 128 + reason

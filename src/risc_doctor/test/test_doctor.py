@@ -1,4 +1,4 @@
-"""The doctor's judgement: what is seen to what is said, theme by theme; and what it reads from this computer."""
+"""The doctor's findings from given observations, theme by theme; and what it reads from this computer."""
 
 import contextlib
 import http.server
@@ -128,7 +128,7 @@ def test_multicast_that_the_kernel_would_drop(monkeypatch):
     assert "rp_filter=2" in text_of(wrong_card, YELLOW)
     assert levels(network.judge_multicast(LAB.mocap, own, replace(CABLE, multicast=False), "", {})) == [RED]
     assert network.join_error("225.1.1.1", "127.0.0.1") == ""
-    assert network.join_error("225.1.1.1", "203.0.113.7")  # an address that no computer has
+    assert network.join_error("225.1.1.1", "203.0.113.7")  # a documentation address, which no computer has
     monkeypatch.setattr(network.net, "source_towards", lambda address: None)
     lost = network.check_multicast(types.SimpleNamespace(fleet=LAB, interfaces=lambda: [LO]))
     assert "no_way: " in text_of(lost, RED)
@@ -174,7 +174,7 @@ def test_a_port_is_shared_or_taken_and_its_owner_is_named():
 
 @contextlib.contextmanager
 def without_privileges():
-    """Without any rights, where this is root."""
+    """Context manager: drop root rights."""
     before = os.geteuid()
     if before == 0:
         os.seteuid(65534)
@@ -205,7 +205,7 @@ def test_what_only_root_may_is_told(tmp_path):
 
 
 def test_a_descriptor_that_is_closed_meanwhile_hides_no_other():
-    """Listing the descriptors takes one itself: the lowest that is free, here, so it comes before our socket."""
+    """Listing the descriptors opens one, here the lowest free number, so it comes before our socket."""
     before, bound = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     with bound:
         bound.bind(("", 0))
@@ -226,7 +226,7 @@ def test_processes_are_called_what_people_call_them():
 
 def test_what_cortex_sends_to_this_computer_alone_stays_with_the_program_that_flies_by_it():
     def received(count):
-        """How many datagrams of so many come to the one that flies."""
+        """Send `count` datagrams. Returns how many arrive at the flying program."""
         for _ in range(count):
             sender.sendto(b"frame", flying.getsockname())
         return sum(bool(select.select([flying], [], [], 0.2)[0] and flying.recv(99)) for _ in range(count))
@@ -269,7 +269,7 @@ def test_unknown_missing_misspelt_and_miscounted_bodies():
 
 # ---------------------------------------------------------------- axes
 
-STANDING = np.diag([1.0, -1.0, -1.0])  # body axes (x nose, y right, z belly) of a vehicle on the floor, to the lab's
+STANDING = np.diag([1.0, -1.0, -1.0])  # body axes (x nose, y right, z belly) of a vehicle on the floor to lab axes
 
 
 def seen_as(matrix=np.eye(3), scale=1.0, yaw_rad=0.7, at=(0.5, -0.3, 0.1)):
@@ -318,7 +318,7 @@ def test_bodies_that_cannot_be_judged_say_why():
 
 
 def moved(matrix, metres=0.5, noise_m=0.002):
-    """Moves along +x, +y, +z as a frame sees them that is `matrix` times the true one."""
+    """Moves along +x, +y, +z, seen in a frame that is `matrix` times the true one."""
     rng = np.random.default_rng(5)
     matrix = np.asarray(matrix, dtype=float)
     return {axis: metres * matrix[:, k] + rng.normal(0.0, noise_m, 3) for k, axis in enumerate("xyz")}
@@ -377,7 +377,7 @@ def test_what_keeps_the_clock():
     good = parse_tracking(TRACKING % ("-0.000021", "Normal"))
     assert (good.synchronised, good.reference, good.offset_s) == (True, "192.168.1.1", 2.1e-5)
     assert judge_clock(good).level == GREEN and judge_clock(good).data["source"] == "chrony"
-    slow = parse_tracking(TRACKING % ("0.01", "Normal"))  # chronyc's sign: its clock is behind
+    slow = parse_tracking(TRACKING % ("0.01", "Normal"))  # in chronyc's sign convention the clock is behind
     assert judge_clock(slow).level == YELLOW
     assert (slow.offset_s, slow.error_s) == (-0.01, pytest.approx(0.00065)) and slow.reference == "192.168.1.1"
     assert judge_clock(parse_tracking(TRACKING % ("-0.2", "Normal"))).level == RED
@@ -562,7 +562,7 @@ def test_the_address_that_nodes_tell():
 
 
 def test_an_own_name_on_the_loopback_card_is_as_debian_has_it(monkeypatch):
-    """127.0.1.1 in /etc/hosts: others know the name by another address, or not at all, which cannot be seen here."""
+    """127.0.1.1 in /etc/hosts: whether other computers resolve the name otherwise, or not, cannot be seen here."""
     monkeypatch.setattr(ros, "resolve", {"risc2": "127.0.1.1"}.get)
 
     def judge(master):
@@ -602,7 +602,7 @@ def test_a_web_server_is_no_master():
             self.wfile.write(b"<html><br>hello</html>")
 
         def log_message(self, *words):
-            """Nothing: it is not read."""
+            """Print nothing: the output is not read."""
 
     with http.server.HTTPServer(("127.0.0.1", 0), Page) as server:
         threading.Thread(target=server.handle_request, daemon=True).start()
@@ -688,7 +688,7 @@ def test_a_reader_that_has_read_enough_is_no_error(how):
 
 
 def doctor_of_shell(folder, python):
-    """`./maap doctor` of a workspace that has been built, here a mere shell of one; python: what is in place of it."""
+    """Run `./maap doctor` in a dummy of a built workspace. python: shell commands that take the place of Python."""
     (folder / ".venv" / "bin").mkdir(parents=True)
     (folder / ".venv" / "bin" / "python").write_text("#!/bin/sh\n%s\n" % python)
     (folder / ".venv" / "bin" / "python").chmod(0o755)

@@ -106,7 +106,7 @@ def fields(entry):
 
 
 def calls():
-    """(place, codes, names of values or None where they are not written out) of all that the doctor says."""
+    """(place, codes, names of values or None where they are not written out) of all findings in the doctor's code."""
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             name = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""

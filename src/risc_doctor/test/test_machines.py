@@ -1,4 +1,4 @@
-"""`./maap machines` against a real sshd: each failure says what it is, and what is well is well."""
+"""`./maap machines` against a real sshd: each fault gets its own finding, and there are none without a fault."""
 
 import atexit
 import contextlib
@@ -52,7 +52,7 @@ def key_pair(path, kind="ed25519"):
 
 @functools.cache
 def host_key(kind):
-    """(private file, public half) of the key of that kind that all our servers have: to make one of RSA takes long."""
+    """(private file, public half) of the host key of this kind, shared by all servers: making an RSA key takes long."""
     folder = tempfile.TemporaryDirectory(prefix="host_key")
     atexit.register(folder.cleanup)
     path = pathlib.Path(folder.name) / ("host_" + kind)
@@ -77,10 +77,10 @@ def free_port(addresses):
 
 
 class Server:
-    """An sshd of our own, at addresses of a loopback subnet, each of which can be a machine of its own kind.
+    """An sshd of our own at addresses of a loopback subnet; each address is a machine with its own settings.
 
     special: {number of the machine: lines of sshd_config for it}; before: shell commands for a mount
-    namespace of its own; alone: its machines see no processes but their own, no drivers of other tests.
+    namespace of its own; alone: its machines see only their own processes, no drivers of other tests.
     """
 
     def __init__(self, folder, count, special=(), before="", config=(), alone=False):
@@ -141,7 +141,7 @@ class Server:
         self._reservation.close()
 
     def restarts(self):
-        """How often it has read its settings again, and listens again."""
+        """How often sshd has reloaded its settings and listens again."""
         return (self.folder / "sshd.log").read_text().count("Server listening on") // len(self.addresses) - 1
 
     def wait_for_restart(self, number):
@@ -151,15 +151,15 @@ class Server:
             time.sleep(0.02)
 
     def give_key(self):
-        """The caller has a key, and may log in with it."""
+        """Make a key for the caller and allow it to log in."""
         self.authorized.write_text(key_pair(self.home / ".ssh" / "id_ed25519") + "\n")
 
     def name(self, number):
-        """How known_hosts calls a machine."""
+        """Name of a machine in known_hosts."""
         return "[%s]:%d" % (self.addresses[number], self.port)
 
     def know(self, number):
-        """The lines of known_hosts that roslaunch needs: for ssh and, bare, for roslaunch's own look."""
+        """The line of known_hosts that roslaunch needs: name with port for ssh, bare address for its own check."""
         return "%s,%s %s\n" % (self.name(number), self.addresses[number], self.host_keys["ed25519"])
 
     def machine(self, number, name, loader, inside="", **attributes):
@@ -219,7 +219,7 @@ def flat(text):
 
 
 def sections(printed):
-    """{machine: what was printed about it, as one line}; None: the end."""
+    """{machine: what was printed about it, as one line}; key None: the end of the report."""
     found, name = {}, None
     for line in printed.splitlines():
         heading = re.match(r"(this computer$|\w+(?= \(.*\)$))", line)
@@ -283,7 +283,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
     mute = socket.socket()
     try:
         mute.bind((server.addresses[0], 0))
-        mute.listen(8)  # takes connections and never says a word
+        mute.listen(8)  # takes connections and never sends anything
         server.give_key()
         key = server.host_keys["ed25519"]
         strange = key_pair(tmp_path / "strange")
@@ -350,7 +350,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
     }.items():  # fmt: skip
         for text in texts:
             assert text in found[name], (name, text, found[name])
-    for name in ("unknown", "changed", "gone", "dying"):  # what cannot be seen is not told
+    for name in ("unknown", "changed", "gone", "dying"):  # no finding where nothing can be measured
         assert "topics" not in found[name]
 
 
@@ -362,7 +362,7 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
         server.known_hosts.write_text("# ours\n" + server.know(0) + server.know(1))
         run("ssh-keygen", "-q", "-H", "-f", str(server.known_hosts), stderr=subprocess.DEVNULL)
         server.known_hosts.write_text(server.known_hosts.read_text() + "junk\n")
-        root = tmp_path / "ws"  # the real programs, but files that do not change
+        root = tmp_path / "ws"  # the real programs, with files that do not change
         (root / "src").mkdir(parents=True)
         (root / "devel").symlink_to(ROOT / "devel")
         loader = root / "devel" / "coop.sh"
@@ -406,7 +406,7 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
 
 
 def test_a_command_may_print_more_than_a_stream_holds(tmp_path, monkeypatch):
-    """On both: reading one to its end before the other would leave it waiting."""
+    """On both streams: a reader that reads one to its end before the other would block the command."""
     server = Server(tmp_path / "server", 1)
     try:
         server.give_key()
@@ -453,7 +453,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         (tmp_path / "bin" / program).write_text("#!/bin/sh\n%s\n" % body)
         (tmp_path / "bin" / program).chmod(0o755)
     special = {1: ["AuthorizedKeysFile none"], 2: ["SetEnv PATH=%s:/usr/bin:/bin" % (tmp_path / "bin")]}
-    # the third machine is root as all of them, but finds the file missing and takes itself for another user
+    # the third machine is root like all, but with its `id` and `sudo` it misses the file and is another user
     settings = tmp_path / "sshd_config.d"
     before = "mount --bind %s /etc/ssh/sshd_config.d" % settings
     server = Server(tmp_path / "server", 3, special, before, ["Include /etc/ssh/sshd_config.d/*.conf"])
@@ -498,7 +498,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
                 "ecdsa-sha2-nistp256",
             }
 
-        # nothing is missing, but whether sshd has read it is unknown: it is told once more
+        # nothing is missing, but whether sshd has read it is unknown: it is reloaded once more
         before = server.restarts()
         code, printed = server.maap("setup", file, "--only", "risc2", "--yes")
         assert code == 0 and "wrote" not in printed and "green keep-alive" in flat(printed)
@@ -515,7 +515,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         assert code == 1 and "HAS CHANGED" in flat(printed)
         assert "ssh-keygen -R '%s'" % server.name(0) in printed and server.known_hosts.read_text() == changed
 
-        # an sshd that would not come back from reading its settings is left alone, and so is a file that it had
+        # an sshd that would not survive a reload is left alone, and so is an existing file
         server.known_hosts.write_text(written)
         with (tmp_path / "server" / "sshd_config").open("a") as config:
             config.write("NoSuchSetting yes\n")
@@ -685,7 +685,7 @@ def test_the_virtual_lab_brings_its_own_cortex(monkeypatch):
 
 @pytest.fixture
 def fleet_value_in_this_process(monkeypatch):
-    """For every parameter that it says roslaunch would start it, which takes longer than all the rest."""
+    """Run fleet_value.py here: roslaunch would start it for every parameter, which takes longer than all the rest."""
     fleet_value = runpy.run_path(str(ROOT / "src/risc_control/nodes/fleet_value.py"))["main"]
     as_roslaunch_does = XmlLoader.param_value
 
@@ -702,7 +702,7 @@ def fleet_value_in_this_process(monkeypatch):
 
 
 def guide_lines(pattern):
-    """Lines of the guide's blocks of shell, as they stand there, without comments."""
+    """Lines that match in the guide's shell blocks, without comments."""
     text = (ROOT / "docs/many_machines.md").read_text()
     blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     lines = [line.partition("  #")[0] for block in blocks for line in block.replace("\\\n", " ").splitlines()]
@@ -737,7 +737,7 @@ def test_the_guides_fleet_files_are_let_pass(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("fleet_value_in_this_process")
 def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
-    """Read and found, with the guide's own launch file; what would be done is not."""
+    """Examples are parsed and their files found, with the guide's own launch file; nothing is carried out."""
     shutil.copytree(str(ROOT / "launch"), str(tmp_path / "launch"))
     (own,) = re.findall(r"^```xml\n(.*?)^```$", (ROOT / "docs/many_machines.md").read_text(), re.MULTILINE | re.DOTALL)
     (tmp_path / "launch/my_laboratory.launch").write_text(own)

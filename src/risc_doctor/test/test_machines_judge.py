@@ -1,4 +1,4 @@
-"""How `./maap machines` judges what it measured, where a real fault of that kind cannot be made on one computer."""
+"""How `./maap machines` judges measurements, for faults that cannot be made on one computer."""
 
 import errno
 import os
@@ -38,7 +38,7 @@ def test_an_unreachable_computer_has_its_own_cause(error, text, cure):
         (0.004, 0.001, "green"),
         (-0.004, 0.010, "green"),
         (0.006, 0.001, "yellow"),
-        (0.000, 0.025, "yellow"),  # it may be right or not
+        (0.000, 0.025, "yellow"),  # it may be within the limit or not
         (0.024, 0.025, "yellow"),
         (-0.021, 0.001, "red"),
         (0.100, 0.050, "red"),
@@ -55,7 +55,7 @@ def test_the_clock_is_judged_by_offset_and_uncertainty(offset_s, uncertainty_s, 
     ("chrony", "measured_s", "level", "text"),
     [
         ((0.001, 0.0002), (0.0012, 0.001), "green", "1.0 ms ahead .*± 0.2 ms, chrony"),
-        # its bound is that of the way from our own server's to its clock: what is measured between us two is better
+        # chrony's bound includes the way to our own server: the direct measurement between both computers is better
         ((0.001, 0.030), (0.0012, 0.001), "green", "1.2 ms ahead .*± 1.0 ms, measured .*; chrony"),
         ((0.0, 0.001), (0.030, 0.001), "red", "30.0 ms ahead .*± 1.0 ms, measured .*; chrony .* 0.0 ms behind"),
         ((0.012, 0.002), (0.0, 0.001), "green", " 12.0 ms ahead "),
@@ -75,7 +75,7 @@ def test_chrony_that_follows_another_is_told():
 
 
 def told(**changes):
-    """What echo on risc2 prints when all is well, changed."""
+    """What echo on risc2 prints when all is well, with changes."""
     return {"master_uri": MASTER, "trouble": "", "name_unknown": False, "uri": "http://127.0.0.9:40000", **changes}
 
 
@@ -126,12 +126,12 @@ def test_known_hosts_serves_the_name_and_the_address(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     key, other = paramiko.ECDSAKey.generate(), paramiko.ECDSAKey.generate()
     lines = known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key, paramiko.RSAKey.generate(1024)])
-    assert [line.split()[:2] for line, _ in lines] == [["risc2,127.0.0.9", "ecdsa-sha2-nistp256"]]  # rsa is of no use
+    assert [line.split()[:2] for line, _ in lines] == [["risc2,127.0.0.9", "ecdsa-sha2-nistp256"]]  # rsa is not used
     known_hosts.add([line for line, _ in lines])
     assert (tmp_path / ".ssh/known_hosts").stat().st_mode & 0o777 == 0o600
     assert known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key]) == []
     (line, _) = known_hosts.missing_lines("risc2", "127.0.0.10", 22, [other])[0]
-    assert line.startswith("127.0.0.10 ")  # the name is taken
+    assert line.startswith("127.0.0.10 ")  # the name has a key already
     with pytest.raises(known_hosts.ChangedKeyError):
         known_hosts.missing_lines("risc2", "127.0.0.9", 22, [other])
 
@@ -145,7 +145,7 @@ def test_a_server_that_has_only_an_rsa_key_is_known_by_it(tmp_path, monkeypatch)
     assert known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key]) == []
 
 
-OWN = "127.0.0.1"  # of the computer that looks, where all of the others are on it
+OWN = "127.0.0.1"  # of the computer that checks, when all others are on it
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_each_end_of_a_login_is_a_finding(error, code, monkeypatch):
     [
         (paramiko.AuthenticationException(), True),
         (paramiko.SSHException("No authentication methods available"), True),
-        (paramiko.PasswordRequiredException(), False),  # the key is known there
+        (paramiko.PasswordRequiredException(), False),  # the key is installed there
     ],
 )
 def test_a_password_is_asked_for_only_where_our_key_is_missing(error, asks, monkeypatch):
@@ -218,7 +218,7 @@ def test_a_check_that_breaks_is_one_red_finding():
 
 
 class Talker:
-    """In place of a session: each command prints the same."""
+    """Stands in for a session; every command prints the same."""
 
     computer, here = RISC2, "127.0.0.1"
 
@@ -254,7 +254,7 @@ def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path,
         ("-O '/data/my bags/a.bag' --buffsize=512 -e /(a|b)", "/data/my bags"),
         ("-a -o /tmp/coop_loc_data", "/tmp"),
         ("--output-prefix /data/x /topic", "/data"),
-        ("-o flight -a", ""),  # in ~/.ros, which another login has elsewhere
+        ("-o flight -a", ""),  # in ~/.ros, which is elsewhere for another login
         ("-a", ""),
         ("-O '/data/a.bag", ""),
     ],
@@ -305,7 +305,7 @@ def test_the_computer_that_listens_to_cortex_is_asked_for_it(more, hosts, checks
     ("param", "address"), [('<param name="drone_ip" value="10.0.0.7"/>', "10.0.0.7"), ("", "192.168.1.1")]
 )
 def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, tmp_path):
-    """That of the launch file, which only this computer needs to have."""
+    """Its address is read from the launch file, which only this computer needs to have."""
     path = tmp_path / "x.launch"
     path.write_text(
         """<launch><arg name="fleet" default="my_fleet.yaml"/>

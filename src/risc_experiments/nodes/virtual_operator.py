@@ -25,17 +25,17 @@ from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import OperatorState, Safety, TakeoffRefusals, TrajectoryPhases, VehicleOut
 
-BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
-LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
+BUTTONS, AXES = 12, 8  # enough for every button map here: 11 of the game pad of Appendix C, 12 of 2014
+LOOK_RATE_HZ = 5.0  # at which messages of vehicles, their nodes and motion capture are read
 SERVICE_TIMEOUT_S = 5.0
-_FLIES = "~flies"  # remembered by the master, for an operator that is started again because this one died in flight
+_FLIES = "~flies"  # parameter that tells a restarted operator that the one before died in flight
 
 
 class VirtualOperator:
-    """Wiring only: what is decided is decided in risc_experiments.operator."""
+    """ROS wiring only; risc_experiments.operator makes all decisions."""
 
     def __init__(self):
-        # others of the node may be the vehicle node's, which has the same buttons
+        # the node's other parameters may be the vehicle node's, which has the same buttons
         (params,), _ = params_from_dict([OperatorParams], rospy.get_param("~", {}))
         if not fleet_vehicles():
             raise ValueError("there is no parameter /fleet: load a fleet file with <rosparam ns='fleet' file=.../>")
@@ -46,11 +46,11 @@ class VirtualOperator:
         self._lock = threading.Lock()
         go_home = partial(start, self._call_home)
         again = rospy.get_param(_FLIES, False)
-        self._flies = False  # as the master was told
+        self._flies = False  # as stored on the parameter server
         self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing, again)
         self._watched = {vehicle.template: self._operator.vehicles[vehicle.namespace] for vehicle in flown}
         self._landing = set()  # vehicles whose service is being called
-        self._said = None  # the newest state that was sent, as `_state` gives it
+        self._said = None  # the last published state, as `_state` returns it
         self._phase = rospy.Publisher("/operator/phase", OperatorState, queue_size=10, latch=True)
         self._result = rospy.Publisher("/operator/result", OperatorState, queue_size=1, latch=True)
         self._joys = {name: rospy.Publisher("/%s/joy" % name, Joy, queue_size=10, tcp_nodelay=True) for name in wanted}
@@ -76,7 +76,7 @@ class VirtualOperator:
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
 
     def _locked(self, note):
-        """A callback that notes something while nothing is decided."""
+        """Wrap a callback so that it runs with the lock held."""
 
         def callback(message, *args):
             with self._lock:
@@ -129,12 +129,12 @@ class VirtualOperator:
             self._joys[name].publish(joy)
 
     def _state(self):
-        """The fields of OperatorState now, those out as tuples; the caller holds the lock."""
+        """The current fields of OperatorState, `out` as tuples; the caller holds the lock."""
         told = self._operator
         return told.phase, told.text, told.result, told.reason, told.on_course, told.flight_failed, tuple(told.out)
 
     def _say(self, state):
-        """Publish it when it is new; the caller holds the lock, so that no older one follows."""
+        """Publish a state that has changed; the caller holds the lock, so that no older state follows."""
         if state == self._said:
             return
         flies = state[0] != OperatorPhase.WAITING and state[2] == OperatorResult.RUNNING
@@ -156,13 +156,13 @@ class VirtualOperator:
 
     @staticmethod
     def _call(service):
-        """(whether it is done, what it says) of a service to trigger. Raises ROSException or ServiceException."""
+        """Call a Trigger service. Returns (success, message). Raises ROSException or ServiceException."""
         rospy.wait_for_service(service, SERVICE_TIMEOUT_S)
         answer = rospy.ServiceProxy(service, Trigger)()
         return answer.success, answer.message
 
     def _connect_home(self):
-        """Ask once while all stand, when nobody obeys: then the connection is there, whatever becomes of the master."""
+        """Call go_home once while all stand, when it has no effect: the connection then works without the master."""
         with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
             rospy.wait_for_service(self._go_home, SERVICE_TIMEOUT_S)
             with self._lock:
@@ -175,7 +175,7 @@ class VirtualOperator:
             try:
                 answer = self._home()
                 done, said = answer.success, answer.message
-            except rospy.ServiceException:  # it was started again
+            except rospy.ServiceException:  # the trajectory node was restarted
                 done, said = self._call(self._go_home)
             problem = "" if done else said or "refused"
         except (rospy.ROSException, rospy.ServiceException) as error:
@@ -190,7 +190,7 @@ class VirtualOperator:
             start(self._call_land, name)
 
     def _call_land(self, name):
-        """The answer may take as long as its network is out."""
+        """Call a vehicle's landing service; the answer may take as long as its network is down."""
         service = "/%s/land" % name
         try:
             rospy.loginfo("operator: %s: %s", service, self._call(service)[1])
@@ -201,7 +201,7 @@ class VirtualOperator:
 
     def _diagnose(self, status):
         with self._lock:
-            self._phase.publish(state_message(self._state()))  # a sign of life
+            self._phase.publish(state_message(self._state()))  # heartbeat
             status.summary(2 if self._operator.result == OperatorResult.FAILED else 0, self._operator.phase_text)
             for name, watched in self._operator.vehicles.items():
                 status.add("%s flight state" % name, watched.flight_state)
@@ -212,12 +212,12 @@ class VirtualOperator:
 
 
 def start(work, *arguments):
-    """Do it in a thread of its own."""
+    """Run work in a thread of its own."""
     threading.Thread(target=work, args=arguments, daemon=True).start()
 
 
 def state_message(state):
-    """OperatorState of what `VirtualOperator._state` gives."""
+    """OperatorState message of a state that `VirtualOperator._state` returned."""
     *fields, out = state
     message = OperatorState(None, *fields, [VehicleOut(*vehicle) for vehicle in out])
     message.header.stamp = rospy.Time.now()

@@ -28,7 +28,7 @@ class World:
 
     def __init__(self):
         self.state = dict.fromkeys(TEMPLATES, LANDED)
-        self.silent = set()  # vehicles of which nothing is heard
+        self.silent = set()  # vehicles that send nothing
         self.until_s = dict.fromkeys(TEMPLATES, 0.0)
         self.autonomous_s = dict.fromkeys(TEMPLATES)  # since when, None = manual
         self.home_s = None
@@ -70,7 +70,7 @@ class World:
             self.autonomous_s[vehicle] = time.monotonic()
 
     def _on_home(self, _request):
-        if any(self.autonomous_s.values()):  # as in the trajectory node: nobody obeys before
+        if any(self.autonomous_s.values()):  # as in the trajectory node, which flies no vehicle before
             self.home_s = time.monotonic()
         return TriggerResponse(True, "")
 
@@ -156,7 +156,7 @@ class OperatorTest(unittest.TestCase):
         wait_for(lambda: world.phases[-1].phase == OperatorState.DONE, "the last phase")  # on a topic of its own
         order = list(dict.fromkeys(m.phase for m in world.phases))
         expected = [*range(OperatorState.WAITING, OperatorState.DONE + 1)]
-        self.assertIn(order, (expected, expected[1:]))  # the first may be over before the topic is connected
+        self.assertIn(order, (expected, expected[1:]))  # the first phase may be over before the topic is connected
         self.assertEqual(set(world.state.values()), {LANDED})
 
         world.reset()

@@ -54,12 +54,12 @@ HANDLE_M = 0.31  # from the camera to the middle of an arrow
 RING_M = 0.26  # radius of a ring
 MENU = ("Solve", "Check", "Save", "Reset", "Record")
 CLOSE_M, CLOSE_DEG = 0.01, 0.2
-DRAWN = {"/angles": Observed_angles, "/angle_lines": MarkerArray}  # bearings, and what is drawn of them
+DRAWN = {"/angles": Observed_angles, "/angle_lines": MarkerArray}  # bearings, and their markers
 MENU_S = 5.0  # how long it may take to open: rviz draws in software
 
 
 def stamp_s_of(message):
-    """[s]; of an array, that of its first element."""
+    """Stamp [s] of a message; of an array, that of its first element."""
     return (message.header if hasattr(message, "header") else message.markers[0].header).stamp.to_sec()
 
 
@@ -104,10 +104,10 @@ class TunerByMouseTest(unittest.TestCase):
 
     @classmethod
     def fly(cls):
-        """A course that shows the camera all landmarks, then on the spot."""
+        """Fly a course on which the camera sees all landmarks, then hover."""
         course = make_course("slanted8", 1)
         marks = Landmarks(Obj=[Landmark(name, *place) for name, place in LANDMARKS.items()])
-        start_s, k = rospy.get_time(), 0  # stamps keep their schedule, whatever time this computer has
+        start_s, k = rospy.get_time(), 0  # stamps keep their schedule, even on a slow computer
         while not cls.over.wait(max(0.0, start_s + k / RATE_HZ - rospy.get_time())):
             t_s = k / RATE_HZ
             if t_s < FLIGHT_S:
@@ -134,19 +134,19 @@ class TunerByMouseTest(unittest.TestCase):
             cls.screen.check_programs()
             if time.monotonic() > deadline_s:
                 raise AssertionError("never came: %s\n%s" % (what, cls.situation()))
-            # A look at the picture is work: rviz is to have more of this computer than those who look.
+            # Evaluating the picture takes time: leave more of this computer to rviz than to this loop.
             time.sleep(0.1 + 2.0 * (time.thread_time() - start_s))
 
     @classmethod
     def situation(cls):
-        """Who draws, and what rviz is told: for a test that waits in vain."""
+        """Publishers and newest messages of what rviz draws, for the report of a time-out."""
         publishers, _, _ = rosgraph.Master(NAME).getSystemState()
         lines = ["%s: %s" % (topic, ", ".join(nodes)) for topic, nodes in publishers if topic in DRAWN]
         return "\n".join(lines + [cls.latest(*item) for item in DRAWN.items()])
 
     @staticmethod
     def latest(topic, kind):
-        """A message of now, as text."""
+        """The next message of a topic, as text."""
         try:
             message = rospy.wait_for_message(topic, kind, 5.0)
         except rospy.ROSException as error:
@@ -169,13 +169,13 @@ class TunerByMouseTest(unittest.TestCase):
         return np.array((place.x, place.y, place.z)), R
 
     def is_at(self, wanted):
-        """Whether tf shows this CameraMount, closely."""
+        """Whether tf shows this CameraMount, within CLOSE_M and CLOSE_DEG."""
         position_m, R = self.mount()
         turn = Rotation.from_matrix(R.T @ rotation_camera_to_body(wanted)).magnitude()
         return np.linalg.norm(position_m - wanted.position_m) < CLOSE_M and math.degrees(turn) < CLOSE_DEG
 
     def pixel_of(self, point_camera):
-        """Where the view shows a point (3,) [m] in camera axes, while it hovers."""
+        """Pixel at which the view shows a point (3,) [m] in camera axes, while the vehicle hovers."""
         position_m, R = self.mount()
         point = np.add(HOVER_M, rotation_body_to_cortex(0.0, 0.0, 0.0) @ (position_m + R @ point_camera))
         return self.view.project(point, *SIZE)
@@ -194,9 +194,9 @@ class TunerByMouseTest(unittest.TestCase):
         return all(mask.sum() > 300 for mask in self.coloured().values())
 
     def ray_shares(self):
-        """{landmark: share of the line from the camera's true place to the landmark that has its ray's colour}."""
+        """{landmark: fraction of the line from the true camera position to the landmark that has its ray's colour}."""
         eye_m = np.add(HOVER_M, rotation_body_to_cortex(0.0, 0.0, 0.0) @ load_mount("risc1_mount.yaml").position_m)
-        part = np.linspace(0.75, 0.9, 40)[:, None]  # the last of it: there rays that miss are away from the line
+        part = np.linspace(0.75, 0.9, 40)[:, None]  # its last part, where rays that miss are off the line
         shares = {}
         for name, mask in self.coloured().items():
             near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3)))
@@ -206,7 +206,7 @@ class TunerByMouseTest(unittest.TestCase):
         return shares
 
     def keep(self, name):
-        """Keep what is on the screen, if somebody wants it."""
+        """Save the picture of the screen if the parameter /pictures names a folder."""
         if rospy.get_param("/pictures"):
             save_picture(pathlib.Path(rospy.get_param("/pictures")) / name, self.screen.picture()[KEPT])
 
@@ -218,13 +218,13 @@ class TunerByMouseTest(unittest.TestCase):
         return done.stdout
 
     def move_to(self, pixel):
-        """To a pixel and a little about it: rviz looks what is under the mouse when it moves, once a picture."""
+        """Move to a pixel by small moves around it: rviz looks what is under a moving mouse once a picture."""
         for aside in (3, -3, 2, 0):
             self.mouse("mousemove", *np.round(np.add(pixel, aside)).astype(int))
             time.sleep(0.3)
 
     def drag(self, start, way):
-        """Left button down at a pixel, away by so many pixels, and up."""
+        """Press the left button at a pixel, move by `way` [pixels], release."""
         self.move_to(start)
         self.mouse("mousedown", 1)
         for part in np.linspace(0.1, 1.0, 10):
@@ -245,7 +245,7 @@ class TunerByMouseTest(unittest.TestCase):
         self.until(lambda: self.windows() == without, "the end of the menu")
 
     def opens_menu(self, without, on):
-        """Right click. Whether a window comes that was not there before."""
+        """Right click. Returns whether a window opens that is not in `without`."""
         if self.windows() - without:
             return True  # late
         self.move_to(self.pixel_of(on))

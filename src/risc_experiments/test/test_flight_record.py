@@ -1,4 +1,4 @@
-"""What is written beside a bag: with what it was flown; and the report of a flight that came to nothing."""
+"""The files beside a bag that say with what it was flown; and the report of a flight that failed early."""
 
 import json
 import pathlib

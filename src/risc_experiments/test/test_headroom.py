@@ -1,4 +1,4 @@
-"""Whether a computer keeps up: what is concluded from what was seen on the ground, and what follows."""
+"""Whether a computer keeps up: the conclusion from measurements on the ground, and its consequences."""
 
 import collections
 import json
@@ -53,7 +53,7 @@ def test_one_that_does_not_and_who_takes_its_time(seen, reason):
     [([60.0, 55.0, 6.0], [0, 60, 99, 99]), ([6.0, 60.0, 55.0], [0, 0, 60, 99]), ([6.0, 60.0, 6.0], [7, 7, 90, 90])],
 )
 def test_a_second_of_something_else_costs_no_rate(ages_ms, passed_over):
-    """It touches two reports at most."""
+    """Such a second affects two reports at most."""
     assert judge(figures(), ages_ms, passed_over) == ""
 
 
@@ -135,7 +135,7 @@ def test_at_the_lowest_rate_that_is_offered_the_estimator_bears_lost_frames():
 
 @pytest.fixture
 def on_the_ground(tmp_path, monkeypatch):
-    """Folder of a flight that has not flown; what os.execv is given is appended to its `called`."""
+    """Folder (`path`) of a flight that has not taken off, and the arguments of os.execv (`called`)."""
     (tmp_path / "flight.bag").write_text("what lay on the ground")
     monkeypatch.setenv(fly.TRIED_RATES, "[]")
     called = []

@@ -11,7 +11,7 @@ MOST_M = 0.3  # the requirement: within 2 s, the median over seeds
 
 
 def farthest_m(type_name, courses, seeds, **options):
-    """Median over flights."""
+    """Greatest drift [m], median over flights."""
     flights = [flight(type_name, course, seed, **options) for course in courses for seed in seeds]
     return np.median([drift(result).farthest_m for result in fly_all(flights)])
 
@@ -20,12 +20,12 @@ def farthest_m(type_name, courses, seeds, **options):
 def test_it_stops_where_it_is(type_name):
     several = type_name, ("circle", "knot"), (1,)
     assert farthest_m(*several) < MOST_M
-    # the control arm: level, and what the vehicle does by itself
+    # the control arm: level attitude, and only what the vehicle does by itself
     assert farthest_m(*several, node={"hold_brakes": False}) > MOST_M
 
 
 def test_a_floor_without_texture():
-    """Nobody sees the error of its level: 0.3 degrees are 0.1 m more in 2 s."""
+    """The error of its level, 0.3 degrees, is not observed: 0.1 m more in 2 s."""
     several, bare = ("ardrone", ("circle",), (1, 2)), (parse_fault("bare_floor:inf"),)
     assert farthest_m(*several, faults=bare, node={"hold_auto_hover": False}) < MOST_M + 0.1
     # the control arm: it believes that its bottom camera sees

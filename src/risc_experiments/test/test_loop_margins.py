@@ -1,4 +1,4 @@
-"""Loop margins: against a loop that is known, against flights with more delay, and the command line."""
+"""Loop margins: against a loop with known margins, against flights with more delay, and the command line."""
 
 import dataclasses
 import json
@@ -60,7 +60,7 @@ def test_the_defaults_are_robust():
 
 @pytest.mark.parametrize("share, steady", [(0.8, True), (1.15, False)])
 def test_a_loop_is_steady_up_to_its_delay_margin(share, steady):
-    """In a flight whose link is later than the controller knows, which is another way to the same number."""
+    """An independent check: a flight whose link has more delay than the controller knows."""
     plant = {"command_delay_s": 0.1 + share * DELAY_MARGIN_S}
     running = loop_margins._Hovering(Flight(delay_s=0.1, plant=plant, node={"ladder": False}))
     for frame in range(9000):
@@ -85,7 +85,7 @@ def test_what_is_printed(monkeypatch, capsys, tmp_path):
 
 
 def test_an_unstable_loop_has_no_margins(monkeypatch, capsys):
-    """Of a link that is later than the delay margin: one line, exit code 1, and JSON without numbers."""
+    """A link with more delay than the delay margin: one line, exit code 1, and JSON without numbers."""
     hovering = loop_margins._Hovering
     later = {"command_delay_s": 0.1 + 1.5 * DELAY_MARGIN_S}
     monkeypatch.setattr(loop_margins, "_Hovering", lambda flight: hovering(dataclasses.replace(flight, plant=later)))

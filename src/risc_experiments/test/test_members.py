@@ -59,7 +59,7 @@ def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
 
 
 def test_a_controller_sees_how_far_the_states_can_be_wrong(monkeypatch):
-    """Of a filter that knows; and it knows less of a vehicle that was not seen for a moment."""
+    """With a filter that has covariances; they are larger for a vehicle that was not seen for a moment."""
     monkeypatch.setenv("RISC_MAAP_MEMBERS", str(MEMBERS.parents[2] / "risc_control" / "test" / "members"))
     seen = REGISTRY.module("sixth").SEEN
     flight = Flight("circle", vehicles=2, seed=1, duration_s=1.0, controller="sixth")
@@ -112,7 +112,7 @@ def test_one_controller_flies_a_fleet_of_two_types():
     ],
 )
 def test_numbers_of_its_own_are_read_as_strictly_as_the_others(monkeypatch, tmp_path, own, complaint):
-    """By both sides, each before it flies."""
+    """By the adapter and by the virtual vehicle, before the flight."""
     shutil.copytree(MEMBERS, tmp_path / "members")
     monkeypatch.setenv("RISC_MAAP_MEMBERS", str(tmp_path / "members"))
     path = tmp_path / "members/vehicle_types/toy_quad.yaml"
@@ -130,7 +130,7 @@ def test_who_has_no_numbers_of_its_own_takes_none():
 
 
 def test_with_the_delay_of_the_other_type_it_flies_worse():
-    """Of each vehicle its own is what counts."""
+    """Each vehicle is controlled with its own delay."""
     types = [load_vehicle_type(name) for name in ("ardrone", "toy_quad")]
     loop = ControlLoop("differential_flatness", types)
     delays_s = loop.controller.delay_s

@@ -21,7 +21,7 @@ def three(trajectory, seed, psi_deg):
 
 @functools.cache
 def ideal():
-    """One on its own."""
+    """The flight of a single ideal vehicle."""
     return fly(Flight("circle", vehicles=1, psi_deg=29.0, duration_s=6.0, perturbed=False, noise=False))
 
 
@@ -40,7 +40,7 @@ def test_three_vehicles_on_perturbed_plants(trajectory, seed, psi_deg):
 
 
 def test_more_vehicles_than_any_fleet_file_holds():
-    """In a generated lab: its net is that of world, estimator and pilots."""
+    """In a generated lab, whose net world, estimator and pilots use."""
     result = fly(Flight("circles3", vehicles=14, seed=1, duration_s=2.0))
     assert len(result.names) == 14
     assert result.closest_m >= 0.7 and result.rmse_m.max() < 0.01
@@ -84,7 +84,7 @@ def test_a_flight_that_never_reaches_its_course_ends(monkeypatch):
 
 
 def test_a_seed_reproduces_a_flight_bit_for_bit_and_many_at_once_are_the_same():
-    """In whatever process, and whatever has been flown there before."""
+    """In any process, and after any other flights in it."""
     flights = [Flight("circles3", vehicles=2, seed=seed, duration_s=0.5) for seed in (7, 8, 9)]
     over = []
     alone, together = list(offline.fly_all(flights, 1)), list(offline.fly_all(flights, 2, over.append))
@@ -104,7 +104,7 @@ def test_gusts_and_an_ideal_plant_without_noise():
 
 @pytest.mark.parametrize(("estimator", "unseen_frames"), [("ekf", 3), ("least_squares", 9)])
 def test_a_reset_of_the_filter_makes_nobody_jump(estimator, unseen_frames):
-    """The vehicle is not visible until the filter is sure again; then it is where it was, and it flies on."""
+    """The vehicle counts as not visible until the filter has settled; then its position is right, and it flies on."""
     running = offline.RunningFlight(Flight("circle", vehicles=1, seed=2, duration_s=2.0, estimator=estimator))
     off_m, reset_s = [], math.inf
     while not running.is_over:
@@ -120,7 +120,7 @@ def test_a_reset_of_the_filter_makes_nobody_jump(estimator, unseen_frames):
 
 
 def test_a_load_that_is_put_on_at_once_is_followed():
-    """By the filter ekf, whose model does not know of it."""
+    """By the filter ekf, whose model does not contain the load."""
 
     def outcome(follows):
         load = parse_fault("added_mass:0.2,duration_s=5@1")

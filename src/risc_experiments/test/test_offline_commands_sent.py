@@ -1,4 +1,4 @@
-"""What a controller is told of the commands that were sent is what went on the wire."""
+"""The history of sent commands that a controller gets is what went on the wire."""
 
 import numpy as np
 

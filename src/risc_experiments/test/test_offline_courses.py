@@ -1,4 +1,4 @@
-"""Fast courses offline: what is allowed is flown well, and what is refused would have been left."""
+"""Fast courses offline: allowed ones are flown well, and vehicles would leave the refused ones."""
 
 import pathlib
 from dataclasses import replace
@@ -21,7 +21,7 @@ SMALL8 = {"length_m": 1.0, "width_m": 0.5, "height_m": 1.2}
     ("speed", "rmse_m"), [("0.76", 0.010), pytest.param("1.5", 0.020, marks=pytest.mark.release), ("2.18", 0.030)]
 )
 def test_the_eight_in_the_large_net(speed, rmse_m):
-    """2.18 m/s at most are 1.5 m/s on average."""
+    """A top speed of 2.18 m/s is 1.5 m/s on average."""
     result = fly(Flight(EIGHT, vehicles=1, fleet=LARGE, speed=speed, duration_s=12.0))
     assert result.rmse_m.max() < rmse_m
     assert not result.safety and not any(result.landed)
@@ -43,8 +43,8 @@ def test_a_course_that_is_refused_is_left_when_it_is_flown_all_the_same(monkeypa
 
 
 def test_much_of_the_error_at_speed_was_the_lag_of_the_velocities():
-    """Of the small eight on the nominal plant without noise: 8 mm with the velocities of the controller's observer, 15
-    mm with the estimator's.
+    """The small eight on the nominal plant without noise: 8 mm with the velocities of the controller's observer, 15 mm
+    with the estimator's.
     """
     flight = Flight(SMALL_EIGHT, vehicles=1, speed="1.5", perturbed=False, noise=False, duration_s=12.0)
     without = replace(default_params("differential_flatness"), push_m_s3=0.0)

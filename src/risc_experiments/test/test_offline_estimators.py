@@ -43,8 +43,8 @@ def test_the_thesis_controller_flies_with_the_thesis_estimator_unless_another_is
 
 
 def test_the_thesis_controller_bears_the_velocities_of_its_own_estimator_which_come_late():
-    """With a larger gain on velocity these perturbed vehicles oscillate until the fence lands them. That they stand off
-    for want of an integral does not count.
+    """With a larger gain on velocity these perturbed vehicles oscillate until the fence lands them. A steady offset
+    for lack of an integral does not count.
     """
     flights = [Flight("circle", vehicles=1, seed=seed, controller=THESIS) for seed in (2, 3)]
     for result in fly_all(flights):

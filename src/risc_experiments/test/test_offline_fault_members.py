@@ -8,7 +8,7 @@ import pytest
 from risc_experiments.offline import Flight, fly
 from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 
-PASSING = {  # flown through, one after another: what is between NAME and the next one's is its own
+PASSING = {  # the flight goes on; faults one after another, each judged until the next begins
     "frames come late, twice, or not": (
         "loss:0.3,duration_s=1@0 drop:0.1,duration_s=1@1 duplicate:1,duration_s=1@2 reorder:0.5,duration_s=1@3 "
         "jitter:0.05,duration_s=1@4 delay:0.05,duration_s=1@5 burst:0.05,duration_s=1@6 "
@@ -25,18 +25,18 @@ PASSING = {  # flown through, one after another: what is between NAME and the ne
         "mocap_blackout:0.3@15.5 host_restart:0.3@17 bare_floor:2@18.5"
     ),
 }
-LANDING = (  # (fault, types): vehicles that cannot go on, for so long that who does not land reaches the net
+LANDING = (  # (fault, types): vehicles cannot go on, for so long that one that does not land reaches the net
     *[(fault, ("ardrone",)) for fault in ("flip:20", "freeze:20", "jump:2,duration_s=20", "mocap_blackout:20")],
     *[(fault, ("ardrone",)) for fault in ("occlusion:20", "burst:severe", "link_blackhole:20", "nan_markers:20")],
     *[(fault, ("ardrone",)) for fault in ("garbage:20", "battery_failing:30", "host_restart:20")],
     *[(fault, ("iris",)) for fault in ("battery_low:8", "link_blackhole:20", "wrong_axes:20")],
 )
-SHORT = (  # the same, but over before they are down: the landing goes on
+SHORT = (  # as LANDING, but over before they are down: the landing goes on
     *[(fault, ("ardrone",)) for fault in ("flip:3", "freeze:3", "jump:1", "mocap_blackout:3", "occlusion:3")],
     *[(fault, ("ardrone",)) for fault in ("link_blackhole:5", "nan_markers:3", "garbage:3", "host_restart:3")],
     *[(fault, ("iris",)) for fault in ("link_blackhole:5", "wrong_axes:0.5")],
 )
-# In which vehicles without a ladder land by themselves, and how they end when they do not: with the ladder, without it
+# Faults in which a vehicle without a ladder lands by itself; outcomes if it cannot: (with the ladder, without it)
 LAND_BY_THEMSELVES = {
     "mocap_blackout:20": ("landed", "breach"),  # no frames, no commands: the AR.Drone's watchdog
     "host_restart:20": ("landed", "breach"),  # the same
@@ -45,15 +45,15 @@ LAND_BY_THEMSELVES = {
     "battery_failing:30": ("landed", "completed"),  # the aircraft's own limit; virtual rotors turn without a charge
     "battery_low:8": ("landed", "completed"),  # the autopilot's own limit
 }
-OWN_FAILSAFES = {  # of the aircraft, and what switches them off
+OWN_FAILSAFES = {  # of the aircraft, and the values that switch them off
     "ardrone.offline.LOST_S": math.inf,
     "ardrone.firmware.EMPTY_BATTERY_PCT": -1.0,
     "iris.offline.FAILSAFE_S": math.inf,
     "iris.firmware.CRITICAL_BATTERY_PCT": -1.0,
 }
-# what the states estimator puts right
+# faults that the states estimator corrects
 MENDED = (("marker_swap:3", ("ardrone",)), ("name_exchange:3", ("ardrone", "ardrone")))
-# of connections, answers and programs, which offline flights have not
+# faults of connections, answers and programs, which offline flights do not have
 NOT_OFFLINE = {"cut", "wrong_reply", "node_kill", "node_stop"}
 
 
@@ -70,7 +70,7 @@ def flown(faults, types, seed=1, course="circle", longer_s=0.0, **fields):
 def test_each_fault_is_in_a_flight():
     named = [parse_fault(text).fault for faults in PASSING.values() for text in faults.split()]
     named += [parse_fault(text).fault for text, _ in (*LANDING, *MENDED)]
-    elsewhere = {"motor_loss", "pilot_takeover"}  # a fall; another hand, see test_iris_flight
+    elsewhere = {"motor_loss", "pilot_takeover"}  # it falls; another person flies, see test_iris_flight
     assert set(REGISTRY.names()) - NOT_OFFLINE - set(named) == elsewhere
 
 
@@ -82,7 +82,7 @@ def test_faults_on_programs_are_refused():
 @pytest.mark.parametrize("kind", ["ardrone", pytest.param("iris", marks=pytest.mark.release)])
 @pytest.mark.parametrize("faults", PASSING.values(), ids=PASSING)
 def test_they_are_flown_through(faults, kind):
-    """By one on its own, which nobody's holding lands."""
+    """By a single vehicle: no other one that holds can make it land."""
     result = flown(faults.split(), (kind,))
     assert {fault.outcome for fault in result.faults} <= {"completed", "held"}
     assert all(fault.safe for fault in result.faults) and not any(result.landed)
@@ -92,8 +92,8 @@ def test_they_are_flown_through(faults, kind):
 @pytest.mark.parametrize("fault, types", LANDING, ids=name_of)
 @pytest.mark.parametrize("ladder", [True, False])
 def test_they_land_it(fault, types, ladder):
-    """The control arm, without the ladder: it ends in the net, but where the vehicle lands by itself."""
-    # by another seed a vehicle that nobody stops may miss the net: with 1 four of them do
+    """The control arm, without the ladder: the flight ends in the net, unless the vehicle lands by itself."""
+    # with other seeds a vehicle without the ladder may miss the net: with seed 1 in four of the cases
     result = flown([fault + "@1"], types, seed=3, longer_s=15.0, node={"ladder": ladder})
     (outcome,) = result.faults
     lands = ladder or fault in LAND_BY_THEMSELVES
@@ -110,7 +110,7 @@ def test_they_land_it_although_it_is_over_before_they_are_down(fault, types):
 
 
 def test_they_do_not_where_a_hold_never_becomes_a_landing():
-    """The control arm. A vehicle whose link is dead lands by itself in that time, see below."""
+    """The control arm. link_blackhole is left out: there the vehicle lands by itself in that time, see below."""
     held = [(fault, types) for fault, types in SHORT if not fault.startswith("link_blackhole")]
     assert len(held) == len(SHORT) - 2
     for fault, types in held:
@@ -121,7 +121,7 @@ def test_they_do_not_where_a_hold_never_becomes_a_landing():
 @pytest.mark.parametrize("ladder", [True, False])
 @pytest.mark.parametrize("fault, types", [case for case in LANDING if case[0] in LAND_BY_THEMSELVES], ids=name_of)
 def test_without_a_watchdog_the_ladder_lands_it(fault, types, ladder, monkeypatch):
-    """What is hidden above: neither the link's watchdog nor the limit of the aircraft's battery is there."""
+    """The ladder alone: the link's watchdog and the aircraft's own battery limit are switched off."""
     for name, off in OWN_FAILSAFES.items():
         monkeypatch.setattr("risc_simulator.vehicles." + name, off)
     result = flown([fault + "@1"], types, seed=3, longer_s=15.0, node={"ladder": ladder})

@@ -1,4 +1,4 @@
-"""Faults in offline flights: what acts where, what is told of it, and that a seed repeats it."""
+"""Faults in offline flights: where they act, how they are reported, and that a seed repeats them."""
 
 import dataclasses
 import json
@@ -91,7 +91,7 @@ def test_until_the_course_is_reached_nothing_happens(clean):
 
 
 def test_a_crash_with_faults_is_told_and_without_them_raised():
-    """Of a vehicle that is seen beside where it is, without its ladder."""
+    """Of a vehicle that is seen beside its true position, without its ladder."""
     node, beside = {"ladder": False}, "jump:1.5,duration_s=20"
     result = with_faults(beside, "mocap_blackout:1@6", duration_s=6.0, seed=1, node=node)
     jump, blackout = result.faults
@@ -107,7 +107,7 @@ def test_a_crash_with_faults_is_told_and_without_them_raised():
 def test_vehicles_hold_in_time_when_motion_capture_is_lost(hold_s):
     """The p99 of 102 reactions, as tests/benchmarks/faults.py measures the whole graph.
 
-    The control arm waits longer, for states and for commands: with the frames both stop, and either has it hold.
+    The control arm waits longer, for states and for commands: both stop with the frames, and either makes it hold.
     """
     node = {} if hold_s is None else {"state_hold_s": hold_s, "controls_hold_s": hold_s}
     events = tuple(FaultEvent(**fields) for fields in script("mocap_blackout:0.3", 34, seed=1)["faults"])
@@ -137,7 +137,7 @@ def test_faults_that_cannot_happen_are_refused_before_the_flight(text, message):
 
 
 def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, tmp_path, monkeypatch):
-    """The unsafe one is somebody's own: one file and one YAML file."""
+    """The unsafe one is a user's own fault: one file and one YAML file."""
     monkeypatch.setenv(VARIABLE, str(pathlib.Path(__file__).parent / "members"))
     path = tmp_path / "figures.json"
     call = ["--trajectory", "circle", "--vehicles", "1", "--seeds", "1", "--duration", "4", "--workers", "1"]
@@ -155,8 +155,8 @@ def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, 
 
 @pytest.mark.parametrize("kind", ["ardrone", "iris"])
 def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
-    """No ladder can see that but by a controller that commands ever more, and none can help: the vehicle's own watchdog
-    lands it, an AR.Drone's after 1 s, an IRIS+'s radio.
+    """A ladder can notice that only by a controller that commands more and more, and cannot help. The vehicle's own
+    watchdog lands it: an AR.Drone's after 1 s; on an IRIS+, the failsafe of the radio.
     """
     lost = "blackhole:channel=risc1/commands,duration_s=15@1"
     flying = {"types": (kind,), "duration_s": 6.0}
@@ -171,7 +171,7 @@ def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
 
 @pytest.mark.parametrize(("watchdog_s", "outcome"), [(1.0, "landed"), (2.0, "breach")])
 def test_a_dead_link_ends_inside_the_net_although_it_dies_while_the_vehicle_brakes(watchdog_s, outcome, monkeypatch):
-    """com_watchdog is 1 s, not the SDK's 2: for so long the aircraft keeps the tilt it brakes with."""
+    """com_watchdog is 1 s, not the SDK's 2 s: that is how long the aircraft keeps the tilt with which it brakes."""
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", watchdog_s)
     faults = tuple(map(parse_fault, ("mocap_blackout:0.3@3", "link_blackhole:5,risc1@3.2")))
     result = fly(Flight("circle", vehicles=1, seed=1, duration_s=8.0, faults=faults))
@@ -180,8 +180,8 @@ def test_a_dead_link_ends_inside_the_net_although_it_dies_while_the_vehicle_brak
 
 @pytest.mark.parametrize("lands", [True, False])
 def test_states_that_are_always_a_little_too_late_end_a_flight(lands):
-    """Held for as long as it lasts, three vehicles would go back to their places on the circle at once: through its
-    middle, where they meet, if distances did not hold them as well.
+    """If they only held during the delay, three vehicles would all return to their places on the circle at once, and
+    meet in its middle. The separation rule, which would stop them as well, is off here.
     """
     node = {"separation_m": 0.0, **({} if lands else {"state_land_s": 60.0})}
     result = fly(Flight(vehicles=3, duration_s=6.0, faults=(parse_fault("delay:0.0941,duration_s=2.2@2"),), node=node))
@@ -191,7 +191,7 @@ def test_states_that_are_always_a_little_too_late_end_a_flight(lands):
 
 @pytest.mark.parametrize("brakes", [True, False])
 def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
-    """With its last tilt it has come near the net, fast, when it hears again that it is to land (com_watchdog 2 s)."""
+    """It kept its last tilt and is fast and near the net when the order to land arrives (com_watchdog 2 s)."""
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", 2.0)
     if not brakes:
         monkeypatch.setattr(VehiclePilot, "_brakes", lambda self, now_s: False)
@@ -201,7 +201,7 @@ def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
 
 
 def test_the_kalman_filter_survives_08_s_without_frames(inputs):
-    """On each course, at whatever place of it the seed says, with another heading; the baseline lands."""
+    """On each course, at a place that depends on the seed, with another heading; the baseline estimator lands."""
     fault = parse_fault("mocap_blackout:0.8@3")
     for seed in range(1, inputs(3, 200) + 1):
         course, heading_deg = ("circle", "flat8", "slanted8")[seed % 3], YAW_BY_SEED_DEG * seed

@@ -1,4 +1,4 @@
-"""Whatever a controller commands, no vehicle flies into the net: simulated flights with perturbed plant, link, node."""
+"""No command of a controller makes a vehicle fly into the net: simulations with perturbed plant, link and node."""
 
 from itertools import product
 
@@ -25,8 +25,9 @@ ANY = (-1.0, 0.0, 1.0)
 
 
 def fly(kind, seed, delay_s, duration_s=8.0, tilts=tuple(product(ANY, ANY)), weights=(0.9, 1.1), **node):
-    """Fly by what changes once or twice a second: roll and pitch, one of these shares of full tilt, and a thrust
-    between these [weights]. Returns (crashes, what the ladder said, least distance of the centre from the net).
+    """Fly by commands that change once or twice a second: roll and pitch, drawn from `tilts` (fractions of full tilt),
+    and thrust, drawn between `weights`. Returns (crashes, what the ladder said, least distance of the centre from the
+    net [m]).
     """
     rng = np.random.default_rng(seed)
     flight = offline.Flight(vehicles=1, seed=seed, delay_s=delay_s, types=(kind,))

@@ -20,7 +20,7 @@ from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
 PURSUIT_S, SETTLED_S = 22.0, 14.0  # the pursuit, and when it has settled
-PSI_DEG = 60.0  # where a mirrored yaw sense would not fly (D-25)
+PSI_DEG = 60.0  # at which a mirrored yaw sense would not fly (D-25)
 LOST_EVERY = 97  # frames: one in which motion capture does not see the vehicle
 NOW = np.ones(1, dtype=bool)
 
@@ -73,7 +73,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         controller.controller.target_speed_m_s = target.target_speed_m_s(time_s)
         present, ahead = controller.pick(buffer.at(controller.times_s(time_s, now_s)))
         states = States(estimate.visible, estimate.states)
-        if frame % LOST_EVERY == 0:  # as states_from_msg gives what is not seen
+        if frame % LOST_EVERY == 0:  # as states_from_msg returns a vehicle that is not seen
             states = States(~NOW, np.zeros_like(states.x))
         output = controller.update(time_s, now_s, states, present, ahead, NOW, NOW & chain.pilot.autonomous)
         offline.step_chains([chain], frame, time_s, now_s, states, output.controls, [ALONE])

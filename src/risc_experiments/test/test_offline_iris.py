@@ -32,7 +32,7 @@ def test_the_figures_of_chapter_6(figure):
 
 
 def emptied():
-    """Result of a flight that takes the battery from 100 to below 40 %: in 40 s, not in nine minutes."""
+    """Result of a flight that drains the battery from 100 % to below 40 % in 40 s instead of nine minutes."""
     return fly(Flight("circle", seed=1, duration_s=30.0, overrides={"battery_life_s": 60.0}, **ALONE))
 
 
@@ -40,7 +40,7 @@ def test_a_battery_that_empties(monkeypatch):
     result = emptied()
     assert result.flown_s > 0.6 * 60.0
     assert height_errors_m(result).max() < 0.03
-    # the control arm: the charge is not looked at, and nothing is learnt but by the controller's integral
+    # the control arm: the charge is not used, and only the controller's integral adapts
     monkeypatch.setattr(Charge, "note", lambda self, battery_pct, now_s: setattr(self, "pct", 100.0))
     monkeypatch.setattr(climb_observer, "_TRIM_M_S2", 0.0)
     assert height_errors_m(emptied()).max() > 0.03
@@ -56,12 +56,12 @@ def test_two_ardrones_and_an_iris_by_one_controller():
 def test_it_lands_when_it_loses_what_it_flies_on(what):
     result = fly(Flight("circle", seed=2, duration_s=9.0, loss=Loss(0, what, 1.0), **ALONE))
     assert result.landed == (True,)
-    if what != "laptop":  # nobody says anything then
+    if what != "laptop":  # a dead laptop sends nothing
         assert [said.level for said in result.levels[:2]] == [FailsafeLevel.HOLD, FailsafeLevel.LAND]
 
 
 def test_commands_that_the_board_would_hold_back_are_not_sent(monkeypatch):
-    """After a short loss they change by more than it lets through; the loop then oscillated until it met the net."""
+    """After a short loss commands change by more than the board passes; the loop then oscillated into the net."""
     loss = parse_fault("mocap_blackout:0.3@3")
     flight = Flight("circle", seed=5, psi_deg=5 * YAW_BY_SEED_DEG, duration_s=8.0, faults=(loss,), **ALONE)
     assert fly(flight).faults[0].outcome == "completed"

@@ -39,7 +39,7 @@ class Filter(least_squares.Filter):
 
 
 def recorded(monkeypatch, wanted, **flight):
-    """(Result, list of (row, stamp, what, values)) of a flight whose filter notes what it is given."""
+    """(Result, list of (row, stamp, what, values)) of a flight whose filter records the readings that it gets."""
     given = []
     monkeypatch.setattr(least_squares.Filter, "ON_BOARD", wanted)
     monkeypatch.setattr(least_squares.Filter, "on_board", lambda self, *item: given.append(item))

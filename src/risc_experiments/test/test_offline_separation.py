@@ -1,4 +1,4 @@
-"""Vehicles near each other, whole flights offline: nobody flies into one that stops, or holds without reason."""
+"""Vehicles near each other, whole flights offline: none flies into one that stops, and none holds without reason."""
 
 import math
 import pathlib
@@ -37,7 +37,7 @@ MULTI_MACHINE = pathlib.Path(__file__).parents[3] / "launch/Multi_Machine_Experi
         ("circles3", 3, "laptop", 13, LIMITS.separation_m),
         more("circle", 5, "state", 1, LIMITS.separation_m),
         more("circle", 5, "controls", 3, LIMITS.separation_m),
-        # it drifts for a second by its last command, wherever the others are: of thirty seeds one collides
+        # it drifts for a second by its last command, regardless of the others: one of thirty seeds collides
         more("circles3", 3, "laptop", 14, CONTACT_M),
         more("circles3", 3, "laptop", 19, CONTACT_M),
     ],
@@ -54,7 +54,7 @@ def test_nobody_flies_into_one_that_stops(course, vehicles, what, seed, limit_m)
 
 
 def test_states_that_are_only_late_land_nobody(monkeypatch):
-    """They are about as old as a vehicle node accepts, and often a little older: then it holds, for a moment."""
+    """States are about as old as a vehicle node accepts, and often a little older: then it holds for a moment."""
     late = Flight("circles3", seed=5, duration_s=8.0, psi_deg=70.0, faults=(parse_fault("delay:0.09,duration_s=10@1"),))
     result = fly(late)
     rules = [said.rule for said in result.levels]
@@ -66,7 +66,7 @@ def test_states_that_are_only_late_land_nobody(monkeypatch):
 
 @pytest.mark.parametrize("seed", [28, *(more(seed) for seed in (5, 20, 106, 182, 183, 210, 268, 307, 370, 395))])
 def test_short_losses_one_after_another_bring_nobody_together(seed, monkeypatch):
-    """Two AR.Drones and an IRIS+, as near as AR.Drones: after each loss of 0.1 s or more who is behind catches up."""
+    """Two AR.Drones and an IRIS+, as near as AR.Drones: after a loss of 0.1 s or more those behind catch up."""
     mixed = {"fleet": "launch/fleets/mixed3.yaml", "course": {"centre_m": 0.5}}
     fault = parse_fault("burst:0.1,duration_s=2@2")
     mixed = Flight("circles3", seed=seed, psi_deg=70.0 * seed, faults=(fault,), **mixed)
@@ -89,30 +89,30 @@ IRIS_M = load_vehicle_type("iris").wider_m
     ],
 )
 def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):
-    """Of which nobody says that it does, as of a laptop that is dead."""
+    """Its node does not announce the stop, as when its laptop is dead."""
     monkeypatch.setattr(Separation, "tell", lambda self, names: None)
     stops = Flight("knot", vehicles=3, seed=seed, types=types, duration_s=9.5, loss=Loss(seed % 3, what, 1.0))
     result = fly(stops)
     assert result.closest_m > limit_m and all(result.landed)
-    # the control arm: all are taken for AR.Drones
+    # the control arm: all are treated as AR.Drones
     monkeypatch.setattr(offline, "wider_m", lambda vehicles: {})
     assert fly(stops).closest_m < limit_m
 
 
-@pytest.mark.release  # by AR.Drones see below
+@pytest.mark.release  # with AR.Drones: see below
 @pytest.mark.parametrize("seed", range(1, 14))
 def test_wide_vehicles_stop_as_soon_as_one_of_them_does(seed, monkeypatch):
     stops = Flight(
         "knot", vehicles=3, seed=seed, types=("iris",) * 3, duration_s=8.0, loss=Loss(seed % 3, "controls", 1.0)
     )
     assert fly(stops).closest_m > LIMITS.separation_m + 2.0 * IRIS_M
-    if seed == 9:  # the control arm: it is only seen
+    if seed == 9:  # the control arm: no announcement
         monkeypatch.setattr(Separation, "tell", lambda self, names: None)
         with pytest.raises(RuntimeError, match="collided"):
             fly(stops)
 
 
-FIVE = ("controls", 5), ("controls", 8)  # collide when nodes say nothing
+FIVE = ("controls", 5), ("controls", 8)  # these collide when nodes do not announce a stop
 MORE = [(what, seed) for what in ("controls", "state") for seed in range(1, 16) if (what, seed) not in FIVE]
 
 
@@ -122,7 +122,7 @@ def test_five_on_a_circle_stop_as_soon_as_one_of_them_does(what, seed, monkeypat
     result = fly(stops)
     assert result.closest_m > LIMITS.separation_m and all(result.landed)
     if (what, seed) in FIVE:
-        monkeypatch.setattr(Separation, "tell", lambda self, names: None)  # the control arm: it is only seen
+        monkeypatch.setattr(Separation, "tell", lambda self, names: None)  # the control arm: no announcement
         with pytest.raises(RuntimeError, match="collided"):
             fly(stops)
 

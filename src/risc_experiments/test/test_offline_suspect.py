@@ -1,7 +1,7 @@
-"""Motion capture that lies, whole flights offline: the vehicle holds and lands, and without its ladder hits the net.
+"""False poses from motion capture, whole flights offline: a vehicle holds and lands; without a ladder it hits the net.
 
-The states estimator refuses most of these poses; where the vehicle nodes are on trial, it is made to believe them. And
-none that does not lie is suspected.
+The states estimator refuses most of these poses; where the vehicle nodes are tested, it is made to accept them. True
+poses are never suspected.
 """
 
 import dataclasses
@@ -19,12 +19,12 @@ from risc_simulator.faults import FaultEvent, parse_fault
 from risc_simulator.models.mocap_cameras import MocapCameras
 
 FLIGHT = Flight("circle", vehicles=2, seed=3, duration_s=4.0)
-LIES_S = 6.0, 9.0  # from, until
+LIES_S = 6.0, 9.0  # begin and end of the false poses
 more = partial(pytest.param, marks=pytest.mark.release)
 
 
 class LyingCameras(MocapCameras):
-    """Markers of the first body as `lie` has them, while it lies."""
+    """Cameras that change the markers of the first body by `lie` during LIES_S."""
 
     def __init__(self, lie, *arguments, **options):
         super().__init__(*arguments, **options)
@@ -59,7 +59,7 @@ def freeze(one, other, first):
 
 
 def believe_all(monkeypatch, **params):
-    """The estimator takes each frame for itself."""
+    """Make the estimator accept each frame without comparing it with earlier ones."""
     monkeypatch.setattr(offline, "PoseFitParams", partial(PoseFitParams, memory_s=0.0, **params))
 
 
@@ -124,8 +124,8 @@ def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
 
 @pytest.mark.parametrize(("lasts_s", "seed"), [(0.4, 1), more(0.25, 2), more(0.4, 4)])
 def test_a_velocity_made_of_false_places_is_not_flown_on(lasts_s, seed):
-    """A window still holds places of a short jump when the next ones agree: braked by such a velocity, a vehicle slid
-    into its neighbour.
+    """After a short jump the estimator's window still holds false positions when the next ones are true again: braked
+    by such a velocity, a vehicle slid into its neighbour.
     """
     fault = parse_fault("jump:0.11,risc3,duration_s=%g@4.52" % lasts_s)
     result = fly(Flight("circles3", seed=seed, duration_s=6.0, psi_deg=70.0 * seed, faults=(fault,)))

@@ -1,4 +1,4 @@
-"""risc_experiments.operator: the whole sequence against model vehicles, with a clock that the test turns."""
+"""risc_experiments.operator: the whole sequence with model vehicles and a simulated clock."""
 
 import pytest
 
@@ -17,7 +17,7 @@ OK = (FailsafeLevel.OK, "")  # of the loss ladder
 class ModelVehicle:
     """Vehicle and joystick node in a few lines: reacts to edges of the two buttons as the real ones do.
 
-    connected: its reports arrive; with `held_up`, nothing comes or goes, and what was sent arrives when that is over.
+    connected: its reports arrive; with `held_up`, no message passes either way, and all arrive when that is over.
     """
 
     def __init__(self):
@@ -190,11 +190,11 @@ def test_waits_says_for_what_and_gives_up(spoil, text):
 
 
 def test_an_operator_that_is_started_again_in_flight_lands_all():
-    """It does not wait for them to stand, and then take off again."""
+    """It must not wait until they have landed, and then take off again."""
     flight = Flight(3).on_course()
     flight.vehicles["risc2"].safety = (FailsafeLevel.LAND, "joystick silent")
     flight.vehicles["risc3"].state = FlightState.LANDED
-    flight.vehicles["risc2"].land(flight.now_s - 2.0)  # it stands before the operator has listened for long enough
+    flight.vehicles["risc2"].land(flight.now_s - 2.0)  # it has landed before the operator has listened for long enough
     params = OperatorParams(duration=10.0)
     flight.operator = Operator(list(flight.vehicles), params, flight.now_s, flight.go_home, flight.landings.append)
     flight.phases.clear()
@@ -206,7 +206,7 @@ def test_an_operator_that_is_started_again_in_flight_lands_all():
 
 
 def test_an_operator_that_is_started_again_takes_nobody_off_again():
-    """Also when the ladder has landed all before it could look."""
+    """Also when the ladder has landed all before the operator's first reports."""
     flight = Flight()
     params = OperatorParams(duration=10.0)
     arguments = list(flight.vehicles), params, flight.now_s, flight.go_home, flight.landings.append
@@ -370,7 +370,7 @@ def test_when_nobody_flies_any_more_it_ends():
 
 @pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME])
 def test_when_all_ladders_are_asked_to_land_the_flight_ends_with_all_on_the_ground(phase):
-    """As the button "land all" of the browser view does it."""
+    """As with the button "land all" of the browser view."""
     flight = Flight().run(phase)
     flight.run(lambda: all(vehicle.state != FlightState.LANDED for vehicle in flight.vehicles.values()))
     for vehicle in flight.vehicles.values():
@@ -399,7 +399,7 @@ def test_a_silent_vehicle_is_noted():
 
 
 def test_a_failed_vehicle_is_told_to_land_until_it_stands():
-    """The first orders are lost: by a hiccup of the link, or by a joystick node that comes back only later."""
+    """The first orders are lost: the link failed for a moment, or the joystick node comes back only later."""
     flight = Flight(duration=60.0).on_course()
     vehicle = flight.vehicles["risc2"]
     vehicle.obeys.remove("land")
@@ -436,7 +436,7 @@ def test_a_vehicle_whose_joystick_node_died_is_landed_when_it_is_back():
 
 
 def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
-    """Its last word is "landed", but take-off was pressed: it may be in the air."""
+    """Its last report is "landed", but take-off was pressed: it may be in the air."""
     flight = Flight()
     vehicle = flight.vehicles["risc2"]
     vehicle.obeys.remove("land")
@@ -479,7 +479,7 @@ def test_a_vehicle_that_landed_while_its_computer_was_out_of_reach_stays_on_the_
 
 
 def test_old_reports_that_arrive_before_the_new_ones_make_no_takeoff():
-    """After an outage: it flew, says the first that comes, and it has landed since."""
+    """After an outage: the first report that arrives says that it flies, but it has landed since."""
     flight = Flight(duration=60.0).on_course()
     vehicle = flight.vehicles["risc2"]
     vehicle.connected = False
@@ -525,7 +525,7 @@ def test_time_limit_is_the_sum_of_all_phases():
 @pytest.mark.parametrize("stuck", ["nowhere", "waiting", "takeoff", "toggle", "course", "home", "land"])
 @pytest.mark.parametrize("bumper_steps", [0, 5])
 def test_no_flight_outlasts_the_time_limit(stuck, bumper_steps):
-    """With time-outs that are only just long enough, one phase takes for ever."""
+    """One phase never ends, with time-outs that are only just long enough."""
     params = {"waiting_timeout": 5.0, "takeoff_timeout": 4.5, "autonomous_timeout": 1.0, "course_timeout": 3.5}
     params.update(home_timeout=3.5, land_timeout=3.0, duration=10.0, rest=4.0, bumper_steps=bumper_steps)
     flight = Flight(**params)

@@ -1,4 +1,4 @@
-"""What programs took of the processors: those that ended meanwhile, names, only the cores that the flight may use."""
+"""Processor use of programs: those that ended meanwhile, names, only the cores that the flight may use."""
 
 import os
 import types
@@ -38,7 +38,7 @@ class Process:
 
 @pytest.fixture
 def computer(monkeypatch):
-    """Of four cores, of which the flight may use two: `looks` are [(time, processes, busy seconds of each core)]."""
+    """A computer of four cores, of which the flight may use two; its `look` is (time, processes, busy [s] by core)."""
     now = types.SimpleNamespace(look=None)
     kind, fields = type(psutil.cpu_times()), psutil.cpu_times()._fields
 

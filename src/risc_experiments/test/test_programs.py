@@ -27,7 +27,7 @@ def node():
             words = ["bash", "-c", 'exec -a rosmaster bash -c "echo; read"']
         process = subprocess.Popen(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         started.append(process)
-        process.stdout.readline()  # it is what it is to be
+        process.stdout.readline()  # it has started
         return process
 
     yield start

@@ -1,4 +1,4 @@
-"""The parts of the runner: what judges a flight, ends processes, shows progress."""
+"""The parts of the runner that judge a flight, end processes and show progress."""
 
 import io
 import os
@@ -81,7 +81,7 @@ def fault(begin_s=10.0, vehicle="risc1", outcome="landed", is_safe=True):
 
 
 def judged(faults, out=(), left_ok_s=(), kept_apart=(), **changes):
-    """Reasons of a flight of fluffy_II (risc1), which flew so, and Raven (risc2), which did well."""
+    """Reasons to fail a flight of fluffy_II (risc1), with these changes, and Raven (risc2), which did well."""
     vehicles = {"fluffy_II": vehicle(**changes), "Raven": vehicle()}
     found = Faults(list(faults), 0, 5.0, dict(out), dict(left_ok_s), set(kept_apart))
     names = {"fluffy_II": "risc1", "Raven": "risc2"}
@@ -110,9 +110,9 @@ def test_an_outcome_that_is_not_safe_fails_the_flight():
 @pytest.mark.parametrize(
     ("faults", "out", "kept_apart", "excused"),
     [
-        ([fault(vehicle="risc2")], LANDED, (), False),  # another one's
-        ([fault(vehicle="risc2")], LANDED, ["risc1"], True),  # too near to that
-        ([fault(13.0)], LANDED, (), False),  # which had not begun
+        ([fault(vehicle="risc2")], LANDED, (), False),  # the fault is another vehicle's
+        ([fault(vehicle="risc2")], LANDED, ["risc1"], True),  # it was too near to that vehicle
+        ([fault(13.0)], LANDED, (), False),  # the fault had not begun
         ([], LANDED, (), False),
         ([fault()], Out(12.0, OutCause.NODE, "lost its joystick node"), (), False),  # a fault ends no node
         ([fault()], Out(40.0, OutCause.OVERDUE, "did not land within 30 s"), (), False),
@@ -144,7 +144,7 @@ def test_marked_processes_are_found_by_their_mark_only():
 
 
 def test_no_launch_outlives_the_program_that_started_it(tmp_path):
-    """However it dies: the next flight would find its ports taken, and nobody would land its vehicles."""
+    """However that dies: the next flight would find its ports taken, and nothing would land its vehicles."""
     pytest.importorskip("roslaunch")
     (tmp_path / "empty.launch").write_text("<launch/>")
     script = """import sys, time
@@ -155,14 +155,14 @@ time.sleep(60.0)"""
     command = [sys.executable, "-c", script, str(tmp_path), str(free_tcp_port())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
         identity = program.stdout.readline().strip()
-        # not in the middle of starting rosout, of which roscore does not take care yet
+        # not while rosout is being started, which roscore would not end yet
         assert wait_until(lambda: any("/rosout " in command for command in marked_processes(identity).values()), 30.0)
         program.kill()
     assert wait_until(lambda: not marked_processes(identity), 30.0)
 
 
 def test_nothing_is_launched_before_the_master_says_what_its_run_is_called(tmp_path, monkeypatch):
-    """roslaunch would make up a name of its own, and end. This master listens for a second before."""
+    """roslaunch would invent a run id, and end. This master listens for a second before it has one."""
     master = """import sys, time
 from xmlrpc.server import SimpleXMLRPCServer
 begin_s, server = time.monotonic(), SimpleXMLRPCServer(("127.0.0.1", int(sys.argv[2])), logRequests=False)
@@ -183,7 +183,7 @@ print("is up:", xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"]).hasParam
 
 
 def test_reservations_do_not_share_a_subnet():
-    numbers = range(252, 254)  # which no other test takes: files of tests run side by side
+    numbers = range(252, 254)  # used by no other test: test files run in parallel
     first, second = PortReservation(numbers), PortReservation(numbers)
     try:
         assert {first.subnet, second.subnet} == {"127.252", "127.253"}
@@ -343,7 +343,7 @@ def test_the_experiment_of_the_iris_wants_one(tmp_path):
 
 
 def test_a_vehicle_may_be_heard_of_while_the_last_ones_are_shown():
-    """Its report comes in a thread of rospy's."""
+    """Its report arrives in a thread of rospy."""
     pytest.importorskip("rospy")
     from risc_experiments.ros.watch import Watch
     from risc_maap_msgs.msg import ControllerReport, TrackingError

@@ -1,4 +1,4 @@
-"""The scorecard: its figures and bounds, going on after an interruption, all its files, and somebody else's members."""
+"""The scorecard: its figures and bounds, resuming after an interruption, all its files, and members of others."""
 
 import csv
 import json
@@ -172,7 +172,7 @@ def test_minutes_of_single_vehicles_are_those_that_they_are_up():
 
 
 def run(capsys, folder, vehicles, *options):
-    """(exit code, the scorecard, what was said) of a command line, with so many vehicles."""
+    """Run a command line with this number of vehicles. Returns (exit code, the scorecard, what was printed)."""
     path = folder.parent / ("%s_settings.yaml" % folder.name)
     settings = load_yaml(package_file("risc_experiments", "config/scorecard.yaml")) | {"vehicles": vehicles}
     path.write_text(yaml.safe_dump(settings), encoding="utf-8")
@@ -289,7 +289,7 @@ def card_of(flights_of):
 
 
 def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
-    """The short version. With the ladder off the same faults of the same seeds must hurt."""
+    """A short run. With the ladder off, the same faults of the same seeds must cause breaches or contacts."""
     options = ("--severities", "severe", "--seeds", "1", "--minutes", "0.35")
     _, card, _ = run(capsys, tmp_path / "on", 2, "--faults", "flip,name_exchange,random", *options)
     assert card["totals"]["failed"] == 0 and card["totals"]["events"] >= 3

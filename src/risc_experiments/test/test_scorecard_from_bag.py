@@ -1,4 +1,4 @@
-"""Faults that are seen in a recording of motion capture are those that were put into it, and they fly."""
+"""Faults that are found in a recording of motion capture are those that were put into it, and they can be flown."""
 
 import json
 import math
@@ -29,7 +29,7 @@ SPACES = {vehicle.template: vehicle.namespace for vehicle in FLEET.vehicles}
 
 
 def recorded(change=lambda seen: seen, hears=lambda k: True, late_s=lambda k: 0.003):
-    """Recording of vehicles that go up, noise included. change: of Observations between BEGIN and END."""
+    """Recording of vehicles that climb, with noise. change: function of the Observations between BEGIN and END."""
     types = {vehicle.type: vehicle.vehicle_type for vehicle in FLEET.vehicles}
     world = World(FLEET, types, load_templates(fleet=FLEET), seed=1, perturbed=False, gusts=False, step_s=FRAME_S)
     for vehicle, fleet_vehicle in zip(world.vehicles.values(), FLEET.vehicles):

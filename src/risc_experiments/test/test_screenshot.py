@@ -29,7 +29,7 @@ PHASES = (
 
 
 def observed(vehicle, count):
-    """A picture in which a vehicle sees so many landmarks, and one that it does not see."""
+    """A picture in which a vehicle sees `count` landmarks, and one landmark that it does not see."""
     landmarks = [Angle(name="a%d" % k, visible=True) for k in range(count)] + [Angle(name="lost", visible=False)]
     return Observed_angles(Obj=[Angles(name=vehicle, landmarks=landmarks)])
 
@@ -141,7 +141,7 @@ def test_on_a_slow_computer_the_flight_for_a_picture_begins_again(tmp_path, monk
 
 
 def becomes(condition):
-    """Whether the condition holds soon."""
+    """Wait for the condition, at most PATIENCE_S. Returns whether it holds."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:

@@ -1,4 +1,4 @@
-"""./maap soak: scripts of faults, drift, invariants and the tables; each invariant with what must not raise it."""
+"""./maap soak: scripts of faults, drift, invariants, tables; each invariant also with what must not raise it."""
 
 import datetime
 import json
@@ -119,7 +119,7 @@ def test_a_leak_is_found_with_its_rate_and_a_process_that_only_warms_up_is_not()
 
 def test_one_step_and_wild_values_are_no_drift():
     t_s, values = memory(0.0, step_mb=15.0)
-    values[::37] = 500.0  # a look in a bad moment
+    values[::37] = 500.0  # a sample at a bad moment
     assert not drift(t_s, values, 600.0).exceeds(LIMITS.memory_mb_h, LIMITS.memory_mb)
     values[5] = math.nan
     assert math.isfinite(drift(t_s, values, 600.0).slope)
@@ -161,7 +161,7 @@ def test_a_process_that_grows_is_a_violation_and_one_that_does_not_is_none(figur
     assert [violation.invariant for violation in found] == ["growth"]
     assert found[0].text.startswith("/toy: ")
     assert not list(invariants.growth("/toy", track_of(figure, 50.0 + noise), 600.0, PARAMS))
-    # while it warms up, and as long as too little was seen, nothing is said
+    # nothing is reported while it warms up, or while there are too few samples
     assert not list(invariants.growth("/toy", track_of(figure, 50.0 + per_minute * minutes), 1700.0, PARAMS))
 
 
@@ -178,7 +178,7 @@ def test_latency_that_grows_is_a_violation():
     noise = rng.uniform(-2.0, 2.0, flights.size)
     found = invariants.latency(latencies(10.0 + 0.5 * flights + noise), 600.0, PARAMS)
     assert found.invariant == "latency" and "limit" in found.text
-    noise[::9] = 60.0  # flights beside something else
+    noise[::9] = 60.0  # flights while other programs run
     assert invariants.latency(latencies(10.0 + noise), 600.0, PARAMS) is None
     assert invariants.latency(latencies([]), 600.0, PARAMS) is None
 
@@ -262,7 +262,7 @@ for word in sys.stdin:
 
 
 class Toy:
-    """A process of a launch, which takes what it is told to."""
+    """A process of a launch that takes up the resources it is told to."""
 
     def __init__(self, identity, name):
         words = [sys.executable, "-c", TOY, "__name:=" + name]
@@ -410,7 +410,7 @@ def test_a_settings_file_with_a_wrong_key_is_named(tmp_path, capsys):
 
 
 def a_soak(folder, violation=None):
-    """What `output` looks at, after a soak of two flights."""
+    """The state that `output` reads, after a soak of two flights."""
     process = SimpleNamespace(name="/controller", key=(10, 1.0), alive=True, since_s=0.0)
     names = ("rss_mb", "pss_mb", "own_mb", "descriptors", "threads", "cpu_cores")
     process.track, totals, latency = Track(*names), Track(*names[1:]), Track("p50_ms", "p99_ms")

@@ -1,4 +1,4 @@
-"""./maap soak: a flight is judged from its bag, whatever was said of the flight before."""
+"""./maap soak: a flight is judged from its bag; messages about the flight before do not matter."""
 
 import json
 
@@ -45,7 +45,7 @@ def fault(active, begin_s=6.0, safe=("completed", "held", "landed")):
 
 @pytest.fixture
 def flight(tmp_path):
-    """Function that writes a flight of two vehicles, beside what rows say. Returns its folder."""
+    """Function that writes the bag of a flight of two vehicles, with further rows. Returns its folder."""
     fleet = default_fleet(2, "circle")
     delay_s = fleet.mocap.reported_delay_s
     (tmp_path / FLEET).write_text(yaml.safe_dump(fleet.to_dict()))

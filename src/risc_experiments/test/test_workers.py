@@ -1,4 +1,4 @@
-"""Items in processes: their order, how many are held, and that no worker is left, whatever ends it."""
+"""Items in worker processes: their order, how many results wait, and that no worker is left after any kind of end."""
 
 import importlib
 import multiprocessing
@@ -14,7 +14,7 @@ import pytest
 from risc_experiments.workers import AHEAD, in_order
 
 PATIENCE_S = 60.0
-HELD = []  # by a worker
+HELD = []  # semaphores that a worker holds
 
 
 def square(number):
@@ -23,7 +23,7 @@ def square(number):
 
 
 def note_and_wait(path):
-    """Leave a file; the first item is over when seven others are known to be, and then takes its time."""
+    """Create a file; the first item waits until seven others are known to be over, and 0.3 s more."""
     path.touch()
     while path.name == "0" and len(list(path.parent.glob("over *"))) < 2 * AHEAD - 1:
         time.sleep(0.01)
@@ -95,7 +95,7 @@ def test_a_worker_that_dies_is_one_clear_error():
 
 
 def test_workers_find_built_messages_beside_sources(monkeypatch):
-    """Where the caller's path has the sources of a package first, as after its import."""
+    """Also if the caller's path has the sources of a package first, as after importing it."""
     import ardrone_autonomy
 
     source = [path for path in ardrone_autonomy.__path__ if "devel" not in path][0]
@@ -127,7 +127,7 @@ results.close()
 
 @pytest.mark.parametrize("killed", [False, True])
 def test_workers_give_back_what_they_hold(killed):
-    """Else Python complains of leaked semaphores at the end; it does of workers that are killed."""
+    """Otherwise Python complains of leaked semaphores at the end, as it does if workers are killed."""
     words = "from multiprocessing.context import ForkServerProcess as P; P.terminate = P.kill" if killed else ""
     run = subprocess.run(
         [sys.executable, "-c", words + HOLDING],
@@ -141,8 +141,8 @@ def test_workers_give_back_what_they_hold(killed):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_is_left_of_flights_that_are_interrupted(number):
-    """Ctrl-C reaches every process of a terminal; what kills the caller reaches nobody else."""
-    command = ["env", "--default-signal=INT"]  # whoever runs the tests in the background may ignore it
+    """Ctrl-C reaches every process of a terminal; a SIGKILL reaches the caller alone."""
+    command = ["env", "--default-signal=INT"]  # tests in the background may ignore SIGINT
     command += [sys.executable, "-m", "risc_experiments.offline", "--workers", "2", "--vehicles", "1"]
     command += ["--trajectory", "circle", "--seeds", "9999", "--duration", "1"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

@@ -90,7 +90,7 @@ def _say(what):
 
 
 def leave(code):
-    """End the program. rospy says goodbye to its master at exit, and would wait for ever for one that hangs."""
+    """End the program. At exit rospy unregisters from its master, and would wait forever for one that hangs."""
     sys.stdout.flush()
     watchdog = threading.Timer(_GOODBYE_S, os._exit, [code])
     watchdog.daemon = True

@@ -1,7 +1,7 @@
-"""Is the mocap frame the one that the nodes believe in: x forward, y left, z up, metres, the origin on the floor?
+"""Is the mocap frame the one that the nodes expect: x forward, y left, z up, metres, the origin on the floor?
 
-Two ways to tell. Standing still: a vehicle's markers against its template give scale, handedness and the way up. By
-hand: move a vehicle along +x, +y, +z and see what motion capture makes of it (`judge_moves`).
+There are two tests. At rest: a vehicle's markers, compared with its template, give scale, handedness and the up
+direction. By hand: move a vehicle along +x, +y, +z, and compare with what motion capture sees (`judge_moves`).
 """
 
 import numpy as np
@@ -14,15 +14,15 @@ from risc_lab.frames import frd_to_flu
 AXES = "xyz"
 WAYS = {"x": "forward", "y": "to the left", "z": "up"}
 _SCALE_TOLERANCE = 0.1  # of distances between markers
-_THOUSAND = (300.0, 3000.0)  # what passes for a factor of 1000
+_THOUSAND = (300.0, 3000.0)  # taken for a factor of 1000
 _UPRIGHT = np.cos(np.radians(45.0))
-_MIRROR_GAIN = 3.0  # a mirror image that fits better by this factor is one
-_FIT_NOISE_M = 0.01  # residual that is worth judging
+_MIRROR_GAIN = 3.0  # mirrored, if the mirror image fits better by this factor
+_FIT_NOISE_M = 0.01  # a larger residual is judged
 _FLOOR_M = -0.15  # a marker may be that far below the floor: noise, and an origin that is a little off
 _MARGIN_M = 0.3  # around the net
 _LEAST_MOVE_M = 0.15
 _GREATEST_MOVE_M = 20.0
-_OBLIQUE = np.cos(np.radians(30.0))  # a move that is less along one axis than this was along none
+_OBLIQUE = np.cos(np.radians(30.0))  # a move whose largest component is less than this is along no axis
 _TURN_TOLERANCE_RAD = np.radians(10.0)
 _SHOWN = 0.5  # fraction of the frames in which a marker must be seen
 
@@ -32,7 +32,7 @@ def judge_poses(fleet, templates, marker_sets):
     found, problems, good = Findings("axes"), [], []
     for vehicle in fleet.vehicles:
         name = vehicle.template
-        if name in marker_sets and name in templates:  # else `templates` says so
+        if name in marker_sets and name in templates:  # else the check `templates` reports it
             code, values = _pose_problem(templates[name].markers_m, marker_sets[name], fleet.arena)
             if code:
                 problems.append(finding("axes", code, name=name, **values))
@@ -44,7 +44,7 @@ def judge_poses(fleet, templates, marker_sets):
 
 
 def _pose_problem(template_m, frames, arena):
-    """(code of the first thing that is wrong with a body, values of its sentence), ("", {}) when nothing is."""
+    """(code of the first problem of a body, values of its sentence), ("", {}) when there is none."""
     frames = [markers for markers in frames if markers.shape == template_m.shape]
     if not frames:
         return "other_count", {}
@@ -53,7 +53,7 @@ def _pose_problem(template_m, frames, arena):
     if seen.sum() < 3:
         return "unseen", {"seen": seen.sum(), "count": len(template_m)}
     measured = np.nanmedian(stacked[:, seen], axis=0)
-    template = frd_to_flu(template_m[seen])  # as a level vehicle has them in the lab
+    template = frd_to_flu(template_m[seen])  # markers of a level vehicle in the lab frame
     scale = pdist(measured).mean() / pdist(template).mean()
     if _THOUSAND[0] < scale < _THOUSAND[1]:
         return "millimetres", {"scale": scale}
@@ -66,7 +66,7 @@ def _pose_problem(template_m, frames, arena):
     rms_m = error / np.sqrt(len(arms))
     if rms_m > _FIT_NOISE_M:
         return "mirrored" if error > _MIRROR_GAIN * mirrored else "misfit", {"mm": 1e3 * rms_m}
-    up = turn.as_matrix()[:, 2]  # where the vehicle's upper side looks, in the mocap frame
+    up = turn.as_matrix()[:, 2]  # the vehicle's up direction in the mocap frame
     if up[2] < _UPRIGHT:
         return "up", {"axis": _signed_axis(up)}
     x, y, z = measured.mean(axis=0)
@@ -78,7 +78,7 @@ def _pose_problem(template_m, frames, arena):
 
 
 def _signed_axis(direction):
-    """The axis that a direction is nearest to, e.g. "-y"."""
+    """The signed axis nearest to a direction, e.g. "-y"."""
     strongest = int(np.argmax(np.abs(direction)))
     return ("-" if direction[strongest] < 0.0 else "+") + AXES[strongest]
 
@@ -119,7 +119,7 @@ def judge_moves(moves):
 def _turn(directions):
     """Angle [rad] by which x and y are both turned about z, when they agree and lie level; else None.
 
-    Quarter turns are none: they are told axis by axis.
+    None for quarter turns: they are reported axis by axis.
     """
     if not {"x", "y"} <= set(directions) or directions.get("z", [0.0, 0.0, 1.0])[2] < _OBLIQUE:
         return None

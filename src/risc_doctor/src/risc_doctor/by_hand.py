@@ -9,13 +9,13 @@ from risc_doctor.cortex_probe import EndpointConnection, probe
 from risc_doctor.findings import Findings, FoundError
 
 _LOOK_S = 0.5  # averaging time
-_BRIEFLY_S = 0.3  # is the host there at all?
+_BRIEFLY_S = 0.3  # to find out whether the host answers
 
 
 def position_m(connection, name, metres_per_unit, look_s):
-    """Where the body is now: (3,) [m], NaN unless every marker is seen now and then: the middle of fewer is elsewhere.
+    """Mean (3,) of a body's markers [m]; NaN unless every marker is seen at times: the mean of fewer is elsewhere.
 
-    Raises FoundError when no frame arrives, or none with it.
+    Raises FoundError when no frame arrives, or none with the body.
     """
     connection.forget_stream()
     frames = [frame for _, frame in connection.stream(look_s, look_s)]
@@ -37,7 +37,7 @@ def position_m(connection, name, metres_per_unit, look_s):
 def look(fleet, word, wait_for_enter, look_s=_LOOK_S):
     """Findings after three moves.
 
-    word: a vehicle's namespace or template, or a body of Cortex.  look_s: how long a look takes [s].
+    word: a vehicle's namespace or template, or a body of Cortex.  look_s: averaging time [s].
     wait_for_enter: function of a prompt that returns when the operator is ready.
     """
     found = Findings("axes")

@@ -1,4 +1,4 @@
-"""All checks by name, and running them side by side: most of them wait for answers."""
+"""All checks by name, run in parallel, because most of them wait for answers."""
 
 import concurrent.futures
 
@@ -41,7 +41,7 @@ CHECKS = {
 
 
 def run(situation, names, checks=None):
-    """Findings of the named checks, in their order. One that breaks is a red finding; the others go on."""
+    """Findings of the named checks, in their order. A check with an exception is a red finding; the others go on."""
     checks = CHECKS if checks is None else checks
     with concurrent.futures.ThreadPoolExecutor(len(checks)) as pool:
         jobs = [pool.submit(guarded, name, _look, name, checks[name][1], situation) for name in names]

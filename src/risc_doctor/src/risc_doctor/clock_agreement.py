@@ -1,4 +1,4 @@
-"""Do clocks agree? Ages of messages are differences of stamps and clocks."""
+"""Do the clocks of computers agree? The age of a message is the difference between a clock and its stamp."""
 
 import contextlib
 import csv
@@ -10,9 +10,9 @@ from risc_control.safety import SafetyLimits
 from risc_doctor.findings import RED, YELLOW, Findings, finding
 
 _CHRONYC_PATIENCE_S = 2.0
-# Between two computers, here and in `maap machines`. The oldest state of the flights over four computers was 60 ms old,
-# and the failsafe gives up one of 100 ms: clocks may take half of what is left. Up to 5 ms, latencies between
-# computers mean something.
+# Limits between two computers, here and in `maap machines`. In flights over four computers the oldest state was 60 ms
+# old, and the failsafe rejects one of 100 ms: clocks may take half of what is left. Up to 5 ms, latencies between
+# computers are meaningful.
 GOOD_S, BAD_S = 0.005, 0.020
 _TIME_ERROR = 5  # sys/timex.h: what adjtimex returns for a clock that nothing synchronises
 _TIMEX_BYTES = 512  # more than struct timex has
@@ -70,13 +70,13 @@ def read_clock():
         told = subprocess.check_output(command, stdin=quiet, stderr=quiet, text=True, timeout=_CHRONYC_PATIENCE_S)
         if state := parse_tracking(told):
             return state
-    timex = ctypes.create_string_buffer(_TIMEX_BYTES)  # all zero: only to be read
+    timex = ctypes.create_string_buffer(_TIMEX_BYTES)  # all zero: only reads
     synchronised = ctypes.CDLL(None, use_errno=True).adjtimex(timex) not in (-1, _TIME_ERROR)
     return ClockState("kernel" if synchronised else "none", synchronised)
 
 
 def parse_tracking(text):
-    """ClockState of the output of `chronyc -c tracking`, None when it is none (the daemon does not run)."""
+    """ClockState of the output of `chronyc -c tracking`, None when there is none (the daemon does not run)."""
     row = next(csv.reader(text.splitlines()), [])
     try:
         offset_s, delay_s, dispersion_s = -float(row[4]), float(row[10]), float(row[11])  # chronyc's + is slow

@@ -1,4 +1,4 @@
-"""Motion capture: is the host there and live, and does it know what the fleet and the templates know?"""
+"""Motion capture: does the host answer, is it live, and does it agree with the fleet and the templates?"""
 
 import math
 
@@ -6,14 +6,14 @@ from risc_doctor import axes
 from risc_doctor.findings import RED, YELLOW, Findings
 from risc_doctor.interfaces import is_loopback
 
-_SLOW = 0.9  # of the expected rate: less is worth a word
+_SLOW = 0.9  # of the expected rate: less is reported
 _MUCH_TOO_SLOW = 0.25  # ... and less than this gives no velocities
 _LOST, _MUCH_LOST = 0.01, 0.1  # fraction of the frames
 Z = 2
 
 
 def check(situation):
-    """Who is the host, and does the stream come: rate, loss, units."""
+    """The host's identity and units, and the rate and loss of its stream."""
     return judge(situation.fleet.mocap, situation.cortex())
 
 
@@ -96,7 +96,7 @@ def _squeezed(name):
 
 
 def check_axes(situation):
-    """Without moving anything: are size, handedness, up and place of the bodies what they should be?"""
+    """Without moving anything: are size, handedness, up direction and position of the bodies plausible?"""
     report, found = situation.cortex(), Findings("axes")
     if report.error or not report.shown():
         return found.say("no_cortex" if report.error else "no_frame")

@@ -1,4 +1,4 @@
-"""A short talk with a Cortex host over its own protocol: who are you, what do you show, and does the stream come?"""
+"""Query of a Cortex host over its own protocol: its identity, its bodies, and whether its stream arrives."""
 
 import contextlib
 import errno
@@ -11,13 +11,13 @@ from risc_doctor.socket_owners import users_of_port
 
 LISTEN_S = 1.0  # to the stream
 _STREAM_PATIENCE_S = 0.5  # for its first frame
-_POLL_PAUSE_S = 0.1  # between two looks at a host whose stream does not come: twenty frames
+_POLL_PAUSE_S = 0.1  # between two polls of a host whose stream does not arrive: twenty frames
 _IDENTITY = wire.Identity("maap_doctor", (2, 1, 0, 0))
 
 
 @dataclass
 class CortexReport:
-    """What the host said and sent."""
+    """What the host answered and sent."""
 
     error: str = ""  # why it does not answer; "" when it does
     refused: bool = False  # the computer is there, but no program listens
@@ -27,26 +27,26 @@ class CortexReport:
     mm_per_unit: float | None = None
     up_axis: int | None = None  # 0 = x, 1 = y, 2 = z
     stream_error: str = ""  # why the stream could not be listened to
-    listeners: tuple[str, ...] = ()  # other programs on the stream's port: what comes to this computer alone is theirs
+    listeners: tuple[str, ...] = ()  # other programs on the stream's port: unicast frames go to them
     frames: list[tuple[float, wire.Frame]] = field(default_factory=list)  # (monotonic time of arrival [s], frame)
     malformed: int = 0
-    polled: list[wire.Frame] = field(default_factory=list)  # that it gave when asked, if its stream did not come
+    polled: list[wire.Frame] = field(default_factory=list)  # frames on request, if the stream did not arrive
 
     @property
     def live(self):
-        """It shows new frames, streamed or asked for."""
+        """True when it shows new frames, streamed or on request."""
         return len(self.frames) > 1 or len({frame.number for frame in self.polled}) > 1
 
     @property
     def rate_hz(self):
-        """Frames a second of the stream as they came; None when fewer than two came."""
+        """Measured rate of the stream [Hz]; None when fewer than two frames arrived."""
         if len(self.frames) < 2:
             return None
         return (len(self.frames) - 1) / max(self.frames[-1][0] - self.frames[0][0], 1e-6)
 
     @property
     def lost(self):
-        """Fraction of the stream's frames that did not come, by their numbers."""
+        """Fraction of the stream's frames that did not arrive, by their numbers."""
         numbers = sorted({frame.number for _, frame in self.frames})
         if len(numbers) < 2:
             return 0.0
@@ -57,12 +57,12 @@ class CortexReport:
         return (self.mm_per_unit or 1.0) / 1000.0
 
     def shown(self):
-        """The frames that came, whichever way."""
+        """The frames that arrived, streamed or on request."""
         return [frame for _, frame in self.frames] or self.polled
 
 
 class EndpointConnection(CortexConnection):
-    """To a risc_lab.lab.MocapEndpoint, with its stream. To be closed. Raises OSError."""
+    """Connection to a risc_lab.lab.MocapEndpoint, with its stream. To be closed. Raises OSError."""
 
     def __init__(self, endpoint):
         super().__init__(_IDENTITY, endpoint.host, endpoint.command_port, endpoint.interface)
@@ -86,7 +86,7 @@ def probe(endpoint, live=False, listen_s=LISTEN_S):
             report.up_axis = connection.number("GetUpAxis", "<i")
             if live:
                 connection.go_live()
-            connection.forget_stream()  # what came meanwhile would come at once now, and spoil the rate
+            connection.forget_stream()  # frames queued meanwhile would falsify the rate
             report.frames = list(connection.stream(listen_s, _STREAM_PATIENCE_S))
             for _ in range(2 if len(report.frames) < 2 else 0):
                 report.polled += filter(None, [connection.poll()])

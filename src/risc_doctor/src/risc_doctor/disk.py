@@ -24,7 +24,7 @@ def check(situation):
     folder = situation.bag_folder or situation.root / "flights"
     if not os.path.lexists(folder):  # the recorder makes it
         folder = folder.parent
-    if not os.path.isdir(folder):  # False as well where it may not be looked at
+    if not os.path.isdir(folder):  # also False without permission
         return found.say("no_folder", folder=folder)
     need_mb_s = BASE_MB_S + VEHICLE_MB_S * len(situation.fleet.vehicles)
     free_bytes = shutil.disk_usage(folder).free
@@ -56,7 +56,7 @@ def judge_speed(folder, speed_mb_s, need_mb_s):
 
 
 def write_speed_mb_s(folder, size):
-    """MB/s of a file that reaches the disk and is removed again. Raises OSError."""
+    """Write speed [MB/s] of a temporary file that is synced to the disk. Raises OSError."""
     piece = os.urandom(_PIECE_BYTES)  # not compressible by a file system
     written, start = 0, time.monotonic()
     with tempfile.TemporaryFile(dir=folder, buffering=0) as stream:

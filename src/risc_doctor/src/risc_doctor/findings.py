@@ -1,4 +1,4 @@
-"""What checks have found: green, yellow or red, in one sentence, with the cure. For `maap doctor` and `machines`.
+"""Findings of checks: green, yellow or red, in one sentence, with the cure. For `maap doctor` and `machines`.
 
 The sentences are in config/findings.yaml, by check and code.
 """
@@ -25,13 +25,13 @@ _NARROWEST = 40  # characters for the text, however narrow the terminal is
 
 @dataclass(frozen=True)
 class Finding(Settings):
-    """One thing that was looked at. Raises ValueError for an unknown level or one that is not green without a cure."""
+    """Result of one check. Raises ValueError for an unknown level, and without a cure unless it is green."""
 
     check: str  # name of the check, e.g. "cortex"
-    level: str  # GREEN: good; YELLOW: may fly, or could not be looked at; RED: does not fly
+    level: str  # GREEN: good; YELLOW: may fly, or could not be checked; RED: does not fly
     text: str  # what was found, one sentence, with numbers and units
     cure: str = ""  # what to do about it; needed unless green
-    data: dict = field(default_factory=dict)  # what another program may want to know; must fit into JSON
+    data: dict = field(default_factory=dict)  # values for other programs; must fit into JSON
     code: str = ""  # of the sentence, in config/findings.yaml
 
     def __post_init__(self):
@@ -43,7 +43,7 @@ class Finding(Settings):
 
 
 def to_json(findings):
-    """A list of findings as text; numbers that JSON has not (NaN, infinite) become null."""
+    """A list of findings as text; numbers that JSON does not have (NaN, infinite) become null."""
     return msgspec.json.encode(findings, enc_hook=str).decode()
 
 
@@ -70,13 +70,13 @@ class Findings(list):
         self._check = check
 
     def say(self, code, level=None, **values):
-        """One more, see `finding`. Returns self."""
+        """Add a finding, see `finding`. Returns self."""
         self.append(finding(self._check, code, level, **values))
         return self
 
 
 class FoundError(Exception):
-    """Nothing more can be looked at; `finding` says why."""
+    """Nothing more can be checked; `finding` says why."""
 
     def __init__(self, check, code, **values):
         self.finding = finding(check, code, **values)
@@ -84,7 +84,7 @@ class FoundError(Exception):
 
 
 def collect(findings):
-    """A list of findings from an iterator, which a FoundError may end: it is the last one."""
+    """List of the findings of an iterator. A FoundError may end it: its finding is the last one."""
     found = []
     try:
         for one in findings:
@@ -95,7 +95,7 @@ def collect(findings):
 
 
 def guarded(check, function, *arguments):
-    """`collect` of a function's findings; when it breaks, a red one that says where: other checks are worth having."""
+    """`collect` of a function's findings; after an exception a red one that says where, so that other checks go on."""
     try:
         return collect(function(*arguments))
     except Exception as error:
@@ -134,7 +134,7 @@ def print_findings(findings):
 
 
 def _wrapped(text, first, others, width):
-    """Lines of a text, with what they begin with; commands and addresses are not broken."""
+    """Wrap a text, with its first and other lines indented; commands and addresses are not broken."""
     options = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": others}
     lines = [line for line in text.splitlines() if line.strip()] or [""]
     return "\n".join(

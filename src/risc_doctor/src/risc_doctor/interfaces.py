@@ -11,7 +11,7 @@ _LOOPBACK = ipaddress.IPv4Network("127.0.0.0/8")
 _CARDS = pathlib.Path("/sys/class/net")
 _NO_LINK = ("down", "lowerlayerdown", "dormant")  # of operstate
 _ANY_PORT = 9  # connecting a UDP socket sends nothing
-IP_RECVERR = 11  # linux/in.h: with it on, a refusal by the other computer is told, too
+IP_RECVERR = 11  # linux/in.h: if set, a refusal by the other computer is reported, too
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Interface:
 
 
 def read_interfaces():
-    """All network cards of this computer, as a list of `Interface`. A bridge of containers is connected without any."""
+    """All network cards of this computer, as a list of `Interface`. A bridge counts as connected without containers."""
     cards, found = psutil.net_if_stats(), []
     for name, entries in psutil.net_if_addrs().items():
         card = name.partition(":")[0]  # eth0:1 is a second address of eth0
@@ -55,7 +55,7 @@ def read_interfaces():
 
 
 def leading_out(interfaces):
-    """Those that lead to other computers."""
+    """The cards that lead to other computers."""
     return [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
 
 

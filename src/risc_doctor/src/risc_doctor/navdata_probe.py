@@ -1,4 +1,4 @@
-"""One AR.Drone asked over its own protocol: are you there, and how full is your battery?"""
+"""Query of one AR.Drone over its own protocol: whether it answers, and its battery charge."""
 
 import contextlib
 import socket
@@ -16,7 +16,7 @@ _PACKET_BYTES = 8192
 
 @dataclass(frozen=True)
 class VehicleReport:
-    """What the vehicle said."""
+    """What the vehicle answered."""
 
     error: str = ""  # why nothing came; "" when something did
     state: int = 0  # bits of navdata.State
@@ -26,8 +26,8 @@ class VehicleReport:
 def probe(address, patience_s=PATIENCE_S):
     """VehicleReport of the vehicle at an address.
 
-    A vehicle sends its telemetry to the client that asked last: one that a driver flies must not be asked (the driver
-    would take it back 0.25 s later). One that was just switched on tells its battery only after a configuration write.
+    A vehicle sends its telemetry to the client that asked last: do not ask one that a driver flies (the driver would
+    take it back 0.25 s later). One that was just switched on reports its battery only after a configuration write.
     """
     state, deadline = None, time.monotonic() + patience_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:

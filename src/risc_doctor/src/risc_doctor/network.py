@@ -1,4 +1,4 @@
-"""Network cards, subnets and the way that the mocap stream comes in by."""
+"""Network cards, subnets and the card on which the mocap stream arrives."""
 
 import collections
 import ipaddress
@@ -8,7 +8,7 @@ import socket
 from risc_doctor import interfaces as net
 from risc_doctor.findings import Findings
 
-_STRICT = 1  # of rp_filter: drop what comes in by another card than the answer would leave by
+_STRICT = 1  # of rp_filter: drop packets that arrive on another card than a reply would leave by
 
 
 def check(situation):
@@ -57,7 +57,7 @@ def check_subnets(situation):
 
 
 def judge_subnets(interfaces, vehicles):
-    """Two cards in one network: the kernel sends by either, and the stream may come in by the other one.
+    """Findings about cards in one network: the kernel sends by either, and the stream may arrive on the other one.
 
     vehicles: addresses of those that are flown.
     """

@@ -14,7 +14,7 @@ _JSIOCGAXES, _JSIOCGBUTTONS = 0x80016A11, 0x80016A12  # linux/joystick.h
 
 
 def check(situation):
-    """The devices that were named, else those that are there."""
+    """Check the devices that were named, else all that there are."""
     devices = situation.joysticks or sorted(glob.glob(_PATTERN))
     if not devices:
         return Findings("joystick").say("none_needed" if situation.simulated else "none", pattern=_PATTERN)

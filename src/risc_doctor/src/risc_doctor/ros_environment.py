@@ -38,7 +38,7 @@ def judge_master(situation):
 def judge_own_address(environment, interfaces, master, several, host_name):
     """Findings about the address that this computer's nodes tell to others.
 
-    several: vehicles are flown by computers of their own. host_name: of this computer.
+    several: each vehicle is flown by a computer of its own. host_name: of this computer.
     """
     found = Findings("ros")
     ip, name = environment.get("ROS_IP", ""), environment.get("ROS_HOSTNAME", "")
@@ -54,7 +54,7 @@ def judge_own_address(environment, interfaces, master, several, host_name):
         code = "no_ip_several" if several or far else "no_ip" if resolve(host_name) else "no_ip_unknown"
         return found.say(code, host=host_name, export=export)
     address = resolve(told)
-    # Debian's /etc/hosts has the own name at 127.0.1.1, too: which address it is to others is theirs to know
+    # Debian's /etc/hosts maps the own name to 127.0.1.1, too: others may resolve it to another address
     only_here = address is not None and net.is_loopback(address) and told in (address, "localhost")
     if address is None:
         code = "name_unknown"

@@ -1,4 +1,4 @@
-"""A graph that runs, listened to for a moment: what it publishes, how often, how old, and what nodes complain of."""
+"""Listens briefly to a running graph: its topics, their rates and ages, and what nodes complain of."""
 
 import statistics
 import struct
@@ -15,7 +15,7 @@ from risc_lab.ros.publisher_updates import init_node
 LISTEN_S = 2.5  # diagnostics come once a second
 _PATIENCE_S = 6.0  # for connecting and listening
 _SLOW, _MUCH_TOO_SLOW = 0.9, 0.5  # of the expected rate
-_SHOWN = 8  # complaints; more say the same
+_SHOWN = 8  # complaints; more are only counted
 _HEADER = struct.Struct("<III")  # of std_msgs/Header: seq, stamp [s], stamp [ns]
 _LINK = "risc_maap_msgs/SerialLink"
 OK, WARN = 0, 1  # diagnostic_msgs/DiagnosticStatus
@@ -28,20 +28,20 @@ TOPICS = {  # topic -> who publishes it
 
 @dataclass
 class Topic:
-    """Messages of one topic as they came."""
+    """Messages of one topic as they were received."""
 
     publishers: tuple[str, ...] = ()
     rate_hz: float = 0.0
-    age_s: float | None = None  # median of arrival less stamp; None without messages
+    age_s: float | None = None  # median of arrival minus stamp; None without messages
     heard: list[tuple[float, float]] = field(default_factory=list)  # (monotonic time of arrival, age) of each [s]
 
     def note(self, message):
-        """Of a message that begins with a header, without unpacking the rest, to be in time."""
+        """Record a message that begins with a header; the rest is not unpacked, to be fast enough."""
         _, seconds, nanoseconds = _HEADER.unpack_from(message._buff)
         self.heard.append((time.monotonic(), time.time() - seconds - 1e-9 * nanoseconds))
 
     def sum_up(self):
-        """Rate and age of all that came."""
+        """Compute rate and age from all messages that came."""
         arrivals_s, ages_s = zip(*self.heard) if self.heard else ((), ())
         if len(arrivals_s) > 1:
             self.rate_hz = (len(arrivals_s) - 1) / max(arrivals_s[-1] - arrivals_s[0], 1e-6)
@@ -50,7 +50,7 @@ class Topic:
 
 @dataclass
 class GraphReport:
-    """What was heard."""
+    """What was received from a graph."""
 
     error: str = ""  # why it could not be listened to
     topics: dict[str, Topic] = field(default_factory=dict)  # those of TOPICS that are published
@@ -80,14 +80,14 @@ def listen(master, fleet, listen_s=LISTEN_S):
         except Exception as error:  # rospy raises many kinds when a master goes away
             report.error = "%s: %s" % (type(error).__name__, error)
 
-    thread = threading.Thread(target=work, daemon=True)  # rospy waits for ever for a master that has gone
+    thread = threading.Thread(target=work, daemon=True)  # rospy waits forever for a master that has gone
     thread.start()
     thread.join(listen_s + _PATIENCE_S)
     return report
 
 
 def _hear(vehicle, on_status, subscribe):
-    """Subscribe to what the driver of a FleetVehicle publishes of its status, as the adapter of its type knows it."""
+    """Subscribe to the status that the driver of a FleetVehicle publishes, through the adapter of its type."""
     adapter_class(vehicle.vehicle_type).listen("/%s/" % vehicle.namespace, on_status, subscribe)
 
 
@@ -146,7 +146,7 @@ def check(situation):
 
 
 def judge(report, rate_hz):
-    """Findings. rate_hz: of motion capture; every node of the chain keeps it."""
+    """Findings. rate_hz: of motion capture; every node of the chain should keep it."""
     found = Findings("graph")
     if not report.topics:
         return found.say("no_flight", topics=" or ".join(TOPICS))

@@ -33,7 +33,7 @@ class UnknownHostError(MasterError):
 
 
 class _PatientTransport(xmlrpc.client.Transport):
-    """Gives up when nothing comes."""
+    """A transport with a time-out."""
 
     def __init__(self, patience_s):
         super().__init__()
@@ -46,7 +46,7 @@ class _PatientTransport(xmlrpc.client.Transport):
 
 
 def call(uri, method, *arguments, caller=(CALLER,), patience_s=CALL_PATIENCE_S):
-    """Value that the slave or master API at a URI answers; roslaunch's has no caller (). Raises MasterError."""
+    """Value that the slave or master API at a URI answers. caller: () for roslaunch's API. Raises MasterError."""
     try:
         host, _ = host_and_port(uri)
         if resolve(host) is None:
@@ -81,7 +81,7 @@ def resolve(name, patience_s=NAME_PATIENCE_S):
 
 
 def host_and_port(uri):
-    """(host, port) of a URI such as http://risc1:11311. Raises ValueError when it is none."""
+    """(host, port) of a URI such as http://risc1:11311. Raises ValueError for any other text."""
     parts = urllib.parse.urlsplit(uri)
     if parts.scheme != "http" or not parts.hostname or not parts.port:
         raise ValueError("%r is not the address of a ROS master (http://HOST:11311)" % uri)
@@ -109,7 +109,7 @@ class Master:
         return sorted(name for name, its_kind in call(self.uri, "getTopicTypes") if its_kind == kind)
 
     def ask_nodes(self):
-        """{node: None when it answers, else why not, a MasterError} of all that are registered. Raises MasterError."""
+        """{node: None when it answers, else a MasterError} of all registered nodes. Raises MasterError."""
         state = call(self.uri, "getSystemState")
         names = sorted({node for table in state for _, nodes in table for node in nodes if node != CALLER})
         with concurrent.futures.ThreadPoolExecutor(min(32, len(names) + 1)) as pool:

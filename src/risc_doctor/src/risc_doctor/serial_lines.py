@@ -9,7 +9,7 @@ from rosserial_python.diagnosis import Cause
 from rosserial_python.link import State
 
 CODES = {cause: cause.name.lower() for cause in Cause if cause} | {Cause.PORT_FAILED: "failed"}
-_UNHARMED = frozenset((Cause.TYPES, Cause.SIZE))  # another reader of the port is not how these come
+_UNHARMED = frozenset((Cause.TYPES, Cause.SIZE))  # another reader of the port does not cause these
 
 
 def check(situation):
@@ -43,9 +43,9 @@ def judge(node, line, others):
 
 
 def look(what, path):
-    """Findings about a device that no serial_node serves. what: for people. Opens nothing: that would reset a board."""
+    """Findings about a device that no serial_node serves. what: its name. Not opened, as that would reset a board."""
     found, users = Findings("serial"), users_of_device(path)
-    # one node may have it: the driver of the telemetry, as roslaunch has started it
+    # one node may have it open: the driver of the telemetry, which roslaunch has started
     others = [process for process in users if not argument_of(process.words, "__name")] or users[1:]
     values = {"node": what, "port": path, "others": ", ".join(process.describe() for process in others or users)}
     if not os.path.exists(path):

@@ -1,4 +1,4 @@
-"""What the checks look at: the fleet, this computer, and what is asked only once although several checks need it."""
+"""Input of the checks: the fleet, this computer, and results that are read once and shared by several checks."""
 
 import contextlib
 import functools
@@ -16,7 +16,7 @@ DEFAULT_FLEET = "launch/fleets/ardrones3.yaml"
 
 
 def once(function):
-    """A function without arguments that is done at its first call; threads wait for it, and all get its result."""
+    """Make a function without arguments run only at its first call; other threads wait, and all get its result."""
     lock, work = threading.Lock(), functools.cache(function)
 
     def result():
@@ -36,7 +36,7 @@ class Situation:
     environment: dict
     master: object = None  # ros_master.Master, None when none answers
     master_error: str = ""  # why not
-    nobody_there: bool = False  # because no program has its port; else it is not known whether one runs
+    nobody_there: bool = False  # True: no program has its port; False: a master may run
     bag_folder: pathlib.Path = None  # None = where flights go
     joysticks: tuple[str, ...] = ()  # devices; () = all that are there
     wanted: tuple[str, ...] = ()  # namespaces or addresses of vehicles; () = all of the fleet
@@ -50,17 +50,17 @@ class Situation:
 
     @property
     def simulated(self):
-        """Everything of the fleet is on this computer: the virtual lab."""
+        """True when everything of the fleet is on this computer: the virtual lab."""
         if any(vehicle.devices for vehicle in self.fleet.vehicles):
             return False
         return all(map(interfaces.is_loopback, [self.fleet.mocap.host] + [v.address for v in self.fleet.vehicles]))
 
     def vehicles(self):
-        """The vehicles that are to be looked at. Raises ValueError for one that the fleet does not have."""
+        """The vehicles to be checked. Raises ValueError for one that the fleet does not have."""
         return tuple(map(self._vehicle, self.wanted)) or self.fleet.vehicles
 
     def _vehicle(self, word):
-        """The fleet's vehicle of this name or address; an address that several have is a vehicle, too."""
+        """The fleet's vehicle of this name or address; an address that several share gives a vehicle, too."""
         at_address = [vehicle for vehicle in self.fleet.vehicles if vehicle.address == word]
         for vehicle in self.fleet.vehicles:
             if word in (vehicle.namespace, vehicle.template) or [vehicle] == at_address:

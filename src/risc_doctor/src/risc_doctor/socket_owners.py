@@ -27,9 +27,9 @@ class Process:
 
 
 def users_of_port(port, kind="udp", from_elsewhere=False):
-    """Programs other than this one that hold a port, for people; [] when there are none.
+    """Texts for the programs other than this one that hold a port; [] when there are none.
 
-    kind: "udp", or "tcp" for those that listen.  from_elsewhere: those alone that other computers reach.
+    kind: "udp", or "tcp" for those that listen.  from_elsewhere: only those that other computers can reach.
     """
     pids = _holders(port, kind, from_elsewhere)
     if None in pids:  # perhaps another check of ours opened it while we looked
@@ -42,7 +42,7 @@ def users_of_port(port, kind="udp", from_elsewhere=False):
 
 
 def _holders(port, kind, from_elsewhere):
-    """Process ids, None of one that belongs to another user, or has ended."""
+    """Process ids; None for a process of another user, or one that has ended."""
     return {
         item.pid
         for item in psutil.net_connections(kind)
@@ -52,7 +52,7 @@ def _holders(port, kind, from_elsewhere):
 
 
 def users_of_device(path):
-    """Every `Process` that has a device file open; those of other users are not seen, nor are other files."""
+    """Every `Process`, except those of other users, that has a device file open; [] for other files."""
 
     def device_of(name):
         with contextlib.suppress(OSError):  # it is not there, not ours to see, or closed meanwhile
@@ -71,13 +71,13 @@ def users_of_device(path):
 
 
 def drivers():
-    """Processes of vehicle drivers on this computer. Those in containers have other networks, and other vehicles."""
+    """Processes of vehicle drivers on this computer, not in containers with other networks, and other vehicles."""
     found, network = [], os.readlink("/proc/self/ns/net")
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):  # it ended while we looked
             if _DRIVER in map(os.path.basename, process.cmdline()[:2]):
                 place = network
-                with contextlib.suppress(OSError):  # that of another user is not ours to know
+                with contextlib.suppress(OSError):  # not readable for another user's process
                     place = os.readlink("/proc/%d/ns/net" % process.pid)
                 found += [_process(process)] if place == network else []
     return found

@@ -24,7 +24,7 @@ def check(situation):
 
 
 def _stream_port(port):
-    """The Finding about taking the port as stream_markers does: shared with others who share it."""
+    """The Finding of binding the port as stream_markers does, shared with others who share it."""
     users = ", ".join(socket_owners.users_of_port(port))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -51,7 +51,7 @@ def _master_port(situation, found):
 
 
 def _vehicle_clients(situation, found):
-    """Other programs that steer or listen to one of the vehicles from this computer."""
+    """Find other programs that steer or listen to one of the vehicles from this computer."""
     served = driven_addresses()
     for address in {vehicle.address for vehicle in situation.vehicles() if vehicle.address}:
         here = [process for process, driven in served if driven == address]
@@ -71,7 +71,7 @@ def driven_addresses():
 
 
 def _driven_addresses(process):
-    """From its command line, or from the master that it belongs to."""
+    """Addresses that a driver flies, from its command line or its master; None when not known."""
     if "-ip" in process.words[:-1]:
         return [process.words[process.words.index("-ip") + 1]]
     uri = process.environment.get("ROS_MASTER_URI")

@@ -21,7 +21,7 @@ _TROUBLE = {
 
 
 def check(situation):
-    """Every vehicle that this computer is to fly, unless a driver does already: then what the driver says."""
+    """Ask every vehicle that this computer is to fly; if a driver already flies it, take what the driver says."""
     found, silent, graph = Findings("vehicles"), [], situation.graph()
     if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
         return found.say("unheard")
@@ -37,7 +37,7 @@ def check(situation):
     if situation.fleet.own_networks and not situation.wanted:
         if found:  # the others are elsewhere, even if something has their address here
             return found.say("no_driver", names=", ".join(v.namespace for v in silent)) if silent else found
-        # the factory address of all is one vehicle from here
+        # vehicles that share the factory address look like one vehicle from here
         cards = situation.interfaces()
         silent = list({v.place: v for v in silent if not v.address or net.interface_towards(cards, v.address)}.values())
         if not silent:
@@ -50,10 +50,10 @@ def check(situation):
 
 
 def _ask(situation, vehicle, served):
-    """Findings about a vehicle of which the graph says nothing."""
+    """Findings about a vehicle that has no driver in the graph."""
     found, name = Findings("vehicles"), "%s (%s)" % (vehicle.namespace, vehicle.place)
     if sum(other.place == vehicle.place for other in situation.fleet.vehicles) > 1 or not vehicle.namespace:
-        name = "the vehicle at %s" % vehicle.place  # one of several with one address has no name from here
+        name = "the vehicle at %s" % vehicle.place  # which of several with this address it is, is not known
     kind = vehicle.vehicle_type
     if (kind.driver or kind.name) != "ardrone":
         return found.say("other_wire", name=name, type=kind.name)

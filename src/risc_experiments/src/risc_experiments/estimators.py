@@ -1,11 +1,11 @@
-"""Which estimator a flight has: the one that is named, or the one that belongs to its controller."""
+"""Choice of a flight's estimator: the named one, or the one that belongs to its controller."""
 
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_estimation.filters import DEFAULT, REGISTRY
 
 
 def add_option(add):
-    """Give a parser the option --estimator; `estimator_of` says what it means. add: its add_argument."""
+    """Add the option --estimator to a parser; `estimator_of` evaluates it. add: the parser's add_argument."""
     add(
         "--estimator",
         choices=REGISTRY.names(),

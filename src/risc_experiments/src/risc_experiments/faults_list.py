@@ -28,7 +28,7 @@ def fault_option(text):
 
 
 def describe(name):
-    """Lines about a fault. Raises ValueError for an unknown one."""
+    """Yield the lines that describe a fault. Raises ValueError for an unknown one."""
     settings = fault_settings(name)
     low, high = settings.argument_range
     if low == high:

@@ -10,13 +10,13 @@ from risc_lab.lab.yaml_reader import package_file
 
 _FILES = ((3, "ardrones3.yaml"), (FEW_VEHICLES, "ardrones5.yaml"))
 _OF_EXPERIMENT = {"iris": "iris1.yaml"}
-_ROOMS_M = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)  # from the outermost start to a generated net: the first that will do
-_ONE_LAYER_M = 2.0  # in a net no higher than this: no vehicle has to fly above another
+_ROOMS_M = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)  # outermost start to a generated net; the first that works
+_ONE_LAYER_M = 2.0  # net height for the check of a course: no vehicle has to fly above another
 
 
 def default_fleet(vehicles, trajectory, experiment=""):
-    """Fleet of so many vehicles with room for a course. Raises ValueError."""
-    root = os.environ.get("RISC_MAAP_ROOT")  # of the workspace that ./maap names; else this package's sources are in it
+    """Fleet of this many vehicles with room for a course. Raises ValueError."""
+    root = os.environ.get("RISC_MAAP_ROOT")  # set by ./maap; else use the workspace of this package's sources
     folder = pathlib.Path(root, "launch/fleets") if root else package_file("..", "launch/fleets")
     if experiment in _OF_EXPERIMENT:
         return load_fleet(folder / _OF_EXPERIMENT[experiment]).with_vehicles(vehicles)

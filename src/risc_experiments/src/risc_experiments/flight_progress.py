@@ -1,4 +1,4 @@
-"""What a person sees while a flight runs, beside `data_extraction.progress`."""
+"""Details of a running flight for the progress line of `data_extraction.progress`."""
 
 import statistics
 
@@ -8,7 +8,7 @@ _MOST_NAMES = 5  # that fit on a line
 def flight_detail(errors_mm, rate_hz):
     """Per-vehicle position errors [mm] (None: unknown) and the rate of the mocap stream [Hz] as text.
 
-    Of many vehicles: the median, the vehicle that has the largest, and of how many nothing is known.
+    Of many vehicles: the median, the vehicle with the largest error, and how many errors are unknown.
     """
     known = {name: error for name, error in errors_mm.items() if error is not None}
     if len(errors_mm) <= _MOST_NAMES:

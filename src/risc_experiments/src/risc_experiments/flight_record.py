@@ -1,4 +1,4 @@
-"""What a flight was made with, written beside its bag: arguments, versions, parameters. The report reads it."""
+"""Record of a flight's arguments, versions and parameters, written beside its bag. The report reads it."""
 
 import datetime
 import pathlib
@@ -12,7 +12,7 @@ from risc_lab.revision import revision
 
 
 def course_name(args):
-    """What the flight's course is called, or its experiment where that flies its own."""
+    """Name of the flight's course, or of its experiment if no course was chosen."""
     return pathlib.Path(args.trajectory).stem if args.trajectory else args.experiment
 
 
@@ -49,7 +49,7 @@ def write_parameters(parameters, folder):
 
 
 def plain(value):
-    """A value as YAML can hold it: what it does not know becomes text."""
+    """Convert a value to types that YAML knows; others become text."""
     return msgspec.to_builtins(value, str_keys=True, enc_hook=str)
 
 

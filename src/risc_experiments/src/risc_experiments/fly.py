@@ -1,4 +1,4 @@
-"""`./maap fly`: a whole flight in the virtual lab, from nothing to the table of results."""
+"""`./maap fly`: a whole flight in the virtual lab, from start-up to the table of results."""
 
 import argparse
 import contextlib
@@ -43,19 +43,19 @@ from risc_simulator.virtual_lab import LabOptions
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
-SILENT_S = 5.0  # an operator who says nothing for so long has died
-HUNG_S = 15.0  # ... whom a fault lets hang is to go on: the ladders have landed all vehicles by then
+SILENT_S = 5.0  # an operator that publishes nothing for so long has died
+HUNG_S = 15.0  # ... that a fault has stopped is then continued: the ladders have landed all vehicles by then
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 CONTROLLER = "differential_flatness"
-SEED = 1  # of a flight that is told none
-STATES = "cortex_raw", "cortex_ekf"  # topics of states that a controller may fly by
-WAYPOINTS = "waypoints.yaml"  # those of the flight, in its folder
+SEED = 1  # default seed of a flight
+STATES = "cortex_raw", "cortex_ekf"  # state topics that a controller may use
+WAYPOINTS = "waypoints.yaml"  # file of the flight's waypoints, in its folder
 BROWSER_PORT = 8080  # of the web page, unless another program has it
 IN_THE_AIR = range(OperatorPhase.TAKEOFF, OperatorPhase.LAND + 1)
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # ask for the end
-TRIED_RATES = "RISC_MAAP_TRIED_RATES"  # for the process that begins again at a lower rate
-USE_PERIOD_S = 2.0  # how often the processors' use is noted
-START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # end the flight
+TRIED_RATES = "RISC_MAAP_TRIED_RATES"  # environment variable for the process that starts over at a lower rate
+USE_PERIOD_S = 2.0  # how often processor use is recorded
+START_MARGIN_S = 30.0  # for nodes to start, in addition to the operator's own limits
 EXPERIMENTS = {
     "circles3": "several vehicles on courses (default)",
     "df_demo": "one vehicle, the figures of the lab course",
@@ -126,7 +126,7 @@ def options():
 
 
 def complete(args, error):
-    """Fill in what depends on other options. error: called with what is wrong with them."""
+    """Fill in options that depend on others. error: called with a message when options are wrong."""
     demo = args.experiment in BUMPER_STEPS
     args.vehicles = args.vehicles or (1 if demo else 3)
     args.duration = args.duration or (20.0 if demo else 30.0)
@@ -166,7 +166,7 @@ def fault_file(path):
 def prepare_folder(args, name=None, holds="flight.bag"):
     """Make the folder of this flight. Returns its path. Raises FlightError when it holds a flight already.
 
-    name: what the folder is called after its date; None: what is flown.  holds: a file of such a folder.
+    name: follows the date in the folder's name; None: name of the course.  holds: file that shows a flight is there.
     """
     if args.out is not None:
         if (args.out / holds).exists():
@@ -187,9 +187,9 @@ def prepare_folder(args, name=None, holds="flight.bag"):
 def prepare_fleet(args, subnet, folder):
     """The fleet of this flight, moved to its own loopback subnet and written beside the results.
 
-    Raises ValueError for a bad file, a course that is not for so many or asks for what they cannot do, FlightError when
-    there are more bodies than motion capture shows, or a vehicle is not what the experiment needs (its type, a
-    calibration).
+    Raises ValueError for a bad file, or a course that is not for this many vehicles or exceeds what they can do;
+    FlightError when there are more bodies than motion capture can show, or a vehicle lacks what the experiment needs
+    (its type, a calibration).
     """
     chosen = find_course(args.trajectory or "circles3")
     if args.fleet is None:
@@ -204,7 +204,7 @@ def prepare_fleet(args, subnet, folder):
     if sum(counts) > MAX_BODIES:
         text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
         raise FlightError(text % (*counts, sum(counts), MAX_BODIES))
-    # better now than in the air
+    # better to fail now than in the air
     if args.experiment not in BUMPER_STEPS:
         yaw = None if args.psi is None else YawProgram(math.radians(args.psi))
         late = fleet.with_overrides(command_delay_s=args.delay)  # it needs more room to stop
@@ -219,7 +219,7 @@ def prepare_fleet(args, subnet, folder):
                 "%s measures bearings, but %s has no camera calibration: give it one in the fleet file%s, or fly "
                 "fewer vehicles" % (args.experiment, vehicle.namespace, " %s" % args.fleet if args.fleet else "")
             )
-        load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
+        load_calibration(vehicle.calibration)  # without it the driver flies, but no bearings are measured
     (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False), encoding="utf-8")
     if args.trajectory and args.trajectory not in COURSES:
         (folder / WAYPOINTS).write_bytes(pathlib.Path(args.trajectory).read_bytes())
@@ -270,9 +270,9 @@ def longest_s(args):
 
 
 def check_faults(events, fleet, seed):
-    """Try in a lab that never runs whether faults can happen to a fleet. Raises ValueError when one cannot.
+    """Check, in a lab that never runs, that faults are possible with a fleet. Raises ValueError for one that is not.
 
-    Faults on programs: whether there is such a vehicle, and the flight can be judged.
+    For faults on programs: check that the vehicle exists, and that the flight can still be judged.
     """
     on_programs, in_the_lab = by_place(events)
     namespaces = [vehicle.namespace for vehicle in fleet.vehicles]
@@ -290,18 +290,18 @@ def check_faults(events, fleet, seed):
 
 
 def by_place(events):
-    """FaultEvents: (those on programs, those of the virtual lab)."""
+    """Split FaultEvents into (those on programs, those of the virtual lab)."""
     on_programs = [event for event in events if event.settings.on_programs]
     return on_programs, [event for event in events if event not in on_programs]
 
 
 class TooSlow(str):
-    """Why the computer does not keep up with motion capture: found on the ground, nothing has flown."""
+    """Why the computer does not keep up with motion capture; found on the ground, before anything has flown."""
 
 
 def fly(args, folder, progress, interrupted):
     """Carry out the flight. Returns why it failed, "" when it did not, or TooSlow. Raises FlightError when it could not
-    be done.
+    be carried out.
     """
     reservation = PortReservation()
     launch = page = programs = None
@@ -320,7 +320,7 @@ def fly(args, folder, progress, interrupted):
             launch_args["browser_port"] = page.port
         launch = Launch(launch_file, launch_args, folder, master_port, reservation)
         wait_for_master(launch, master_port, interrupted)
-        from risc_experiments.ros.program_faults import ProgramFaults  # rospy is to see the environment of this flight
+        from risc_experiments.ros.program_faults import ProgramFaults  # late: rospy must see this flight's environment
         from risc_experiments.ros.watch import Watch
 
         watch = Watch()
@@ -340,9 +340,9 @@ def fly(args, folder, progress, interrupted):
 
 
 def fly_slower(module, argv, folder, reason, progress, interrupted):
-    """Begin again in a new process (rospy knows one master in its life), at the next lower rate of motion capture.
+    """Start over in a new process (rospy knows only one master per process), at the next lower rate of motion capture.
 
-    module, argv: what runs now, and its command line.  folder: of the flight so far, whose bag is removed.
+    module, argv: the running module and its command line.  folder: of the flight so far, whose bag is removed.
     Returns only when there is no lower rate: why the flight failed. Raises FlightError when it is interrupted.
     """
     rate_hz = load_fleet(folder / "fleet.yaml").mocap.rate_hz
@@ -353,30 +353,30 @@ def fly_slower(module, argv, folder, reason, progress, interrupted):
             "this computer is too slow to fly so many vehicles: %s at %g Hz, and below %g Hz a lost frame or "
             "two would leave the vehicles without control" % (reason, rate_hz, RATES_HZ[-1])
         )
-    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # they wait until the new process has its handlers
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # pending until the new process has its handlers
     if interrupted.is_set():
         raise FlightError("interrupted before anything flew")
     progress.say("%s: too little time for motion capture at %g Hz, flying at %g Hz" % (reason, rate_hz, lower_hz))
     for name in ("flight.bag", "flight.bag.active", "virtual_lab.json"):
         (folder / name).unlink(missing_ok=True)
     command = [sys.executable, "-m", module, *argv, "--mocap-rate", "%g" % lower_hz]
-    return os.execv(command[0], [str(word) for word in command])  # never
+    return os.execv(command[0], [str(word) for word in command])  # does not return
 
 
 def handle_signals(handler):
-    """What to do when the end is asked for, from now on, also of what came while it was blocked."""
+    """Install a handler for all SIGNALS, and unblock them: those that came meanwhile are handled now."""
     for which in SIGNALS:
         signal.signal(which, handler)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def tried_rates():
-    """[{"rate_hz", "reason"}] of the rates at which this flight was begun and given up."""
+    """[{"rate_hz", "reason"}] of the rates at which this flight was started and given up."""
     return json.loads(os.environ.get(TRIED_RATES, "[]"))
 
 
 class WebPage:
-    """Says where the flight is to be seen, once something serves there."""
+    """Prints the address of the flight's web page, once a server answers there."""
 
     def __init__(self, port, progress):
         self.port = port
@@ -384,7 +384,7 @@ class WebPage:
         self._found = False
 
     def look(self):
-        """Costs next to nothing; to be called again and again."""
+        """Print the address once the server answers. Cheap; to be called repeatedly."""
         if not self._found:
             with socket.socket() as probe:
                 self._found = probe.connect_ex(("127.0.0.1", self.port)) == 0
@@ -392,13 +392,13 @@ class WebPage:
                 self._progress.say("to be seen (and landed) at http://127.0.0.1:%d" % self.port)
 
     def end(self):
-        """The flight is over."""
+        """Report, after the flight, if there was no page."""
         if not self._found:
             self._progress.say("there was no page of the flight (see roslaunch.log)")
 
 
 def wait_for_master(launch, port, interrupted):
-    """Until it answers. Raises FlightError when it does not, or when interrupted."""
+    """Wait until the master answers. Raises FlightError when it does not, or when interrupted."""
     master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)
     deadline = time.monotonic() + 30.0
     while True:
@@ -416,8 +416,8 @@ def wait_for_master(launch, port, interrupted):
 def _follow(args, folder, launch, watch, programs, progress, interrupted, page=None):
     """Wait for the end of the flight, showing its progress. Returns why it failed, "" when it did not, or TooSlow.
 
-    As soon as everything has started, the parameters are written down, and whether the programs are there that faults
-    shall happen to (FlightError). page: a `WebPage` to look for.
+    As soon as everything has started, record the parameters, and check that all programs that faults act on are there
+    (else FlightError).  page: a `WebPage` to look for.
     """
     deadline = time.monotonic() + longest_s(args)
     on_programs, in_the_lab = by_place(args.faults)
@@ -428,7 +428,7 @@ def _follow(args, folder, launch, watch, programs, progress, interrupted, page=N
     headroom = Headroom(launch.identity)
     may_be_slower = args.mocap_rate is None or tried_rates()
     while watch.failure is None:
-        if not recorded and watch.operator_heard:  # by then roslaunch has set everything, and nothing flies yet
+        if not recorded and watch.operator_heard:  # by then all parameters are set, and nothing flies yet
             recorded = True
             try:
                 programs.check(on_programs)

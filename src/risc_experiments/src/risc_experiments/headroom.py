@@ -1,17 +1,17 @@
-"""Whether the computer keeps up with motion capture: on the ground, before take-off, and after limits were missed."""
+"""Checks whether the computer keeps up with motion capture: before take-off, and after a flight missed its limits."""
 
 import time
 
 from risc_experiments.processor_use import ProcessorUse
 
 READY_S = 4.2  # [s] that everything runs on the ground before take-off
-JUDGED_S = 3.3  # [s] of it that are judged, enough for the reports of a node that have to agree
+JUDGED_S = 3.3  # [s] of READY_S that are judged: enough for the _REPORTS that must agree
 RATES_HZ = (200.0, 150.0, 100.0, 75.0, 50.0)  # tried one after the other; the last leaves room for two lost frames
-MOST_USE = 0.85  # of all cores by the flight: the rest is for take-off, video and the system
-MOST_AGE_MS = 30.0  # of the oldest state that the controller answers: beyond, frames wait for processors
-MOST_PASSED_OVER = 0.005  # of the frames: one in 200 may be a hiccup
-_REPORTS = 3  # of a node's diagnostics, once a second, that must agree: a second of something else touches two
-_LEAST_CORES = 0.1  # that are worth a word
+MOST_USE = 0.85  # fraction of all cores that the flight may use: the rest is for take-off, video and the system
+MOST_AGE_MS = 30.0  # of the oldest state that the controller answers: above this, frames wait for a processor
+MOST_PASSED_OVER = 0.005  # fraction of the frames that may be skipped: one in 200 may be a hiccup
+_REPORTS = 3  # of a node, one a second, that must agree: a one-second disturbance affects two
+_LEAST_CORES = 0.1  # smaller loads are not mentioned
 _LEAST_STEAL = 0.05
 
 
@@ -19,16 +19,16 @@ class Headroom:
     """Watches a flight that stands on the ground, ready to take off."""
 
     def __init__(self, identity):
-        """identity: of the flight's processes, as in `processes.Launch`."""
+        """identity: of the flight's processes, as in `launching.Launch`."""
         self._use = ProcessorUse(identity)
         self._since_s = None
         self._is_over = False
 
     def look(self, watch):
-        """Note what the nodes say; to be called again and again while all wait for take-off.
+        """Evaluate the reports of the nodes; to be called repeatedly while all wait for take-off.
 
-        watch: ros.watch.Watch.  Returns why the computer does not keep up, in a sentence; "" when it does, or as long
-        as too little was seen.
+        watch: ros.watch.Watch.  Returns why the computer does not keep up, in a sentence; "" when it does, or while
+        there is too little data.
         """
         now_s = time.monotonic()
         if self._since_s is None:
@@ -48,7 +48,7 @@ def judge(figures, ages_ms, passed_over):
     """Why a computer does not keep up; "" when it does.
 
     figures: of ProcessorUse.  ages_ms: of the oldest state that the controller answered, in each of its reports.
-    passed_over: frames that the estimator has passed over, in each of its reports, from the one before the first on.
+    passed_over: count of frames that the estimator has skipped, in each report, from the last one before the check on.
     """
     if figures and sum(figures["cpu_cores"].values()) > MOST_USE * figures["computer"]["cores"]:
         return "; ".join(["on the ground already " + _flight(figures), *_others(figures)])
@@ -63,13 +63,13 @@ def judge(figures, ages_ms, passed_over):
 
 
 def verdict(result):
-    """Whether a flight that missed its limits had processor time enough: a sentence with what was measured.
+    """Say in a sentence, with figures, whether a flight that missed its limits had enough processor time.
 
-    A busy computer is not blamed as long as nothing was late: flight programs go first.  result: summary of the
-    flight.  "" when nothing was measured.
+    A busy computer is not blamed if nothing was late: flight programs have priority.  result: summary of the flight.
+    Returns "" when nothing was measured.
     """
     mocap, age_ms, lab_ms = result["mocap"], result["latency_ms"]["datagram_to_controls"]["p99"], result["lab_late_ms"]
-    measured = []  # (whether it is too much, what it is)
+    measured = []  # (whether it is too much, text)
     if mocap["frames_received"]:
         share = mocap["frames_passed_over"] / mocap["frames_received"]
         measured.append((share > MOST_PASSED_OVER, "%d frames passed over" % mocap["frames_passed_over"]))

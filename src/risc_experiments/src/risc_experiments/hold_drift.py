@@ -1,11 +1,10 @@
-"""How far a vehicle goes that is not seen any more and has to hold its place: whole flights without ROS.
+"""How far a vehicle drifts when it is not seen any more and has to hold its place: whole flights without ROS.
 
     python3 -m risc_experiments.hold_drift --types ardrone iris --seeds 20
 
-Each flight is of one vehicle on a perturbed plant. At a moment of its course that the seed chooses it loses its states
-for good. The drift is the distance from where it truly was when HOLD began to the farthest place within the next 2 s,
-speed at the loss included. It does not land meanwhile, as it would by default after 0.5 s: the drift is that of the
-hold.
+Each flight has one vehicle with a perturbed plant. At a time on its course that the seed chooses, it loses its states
+for good. The drift is the largest distance, within the next 2 s, from its true position when HOLD began; it includes
+the effect of the speed at the loss. The landing, by default after 0.5 s, is disabled: the drift is that of the hold.
 """
 
 import argparse
@@ -22,23 +21,23 @@ from risc_control.vehicles import REGISTRY
 from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, Loss, fly_all
 
 WITHIN_S = 2.0
-MOVING = ["circle", "circles3", "flat8", "knot", "slanted8"]  # courses on which nobody stands
+MOVING = ["circle", "circles3", "flat8", "knot", "slanted8"]  # courses without standstill
 _REST_S, _NEVER_S = 3.0, 3600.0
-_GOLDEN = 0.6180339887498949  # spreads the moments of few and of many seeds evenly over the course
+_GOLDEN = 0.6180339887498949  # spreads the loss times evenly over the course, for any number of seeds
 
 
 class Drift(NamedTuple):
-    """Of one flight; all NaN when it ended in the net."""
+    """Figures of one flight; all NaN when it ended in the net."""
 
     speed_m_s: float  # when HOLD began
     farthest_m: float  # within WITHIN_S
-    level_m: float  # the same without what is up or down
-    height_m: float  # the same of what is up or down alone
-    end_m: float  # after WITHIN_S
+    level_m: float  # the same, horizontal part only
+    height_m: float  # the same, vertical part only
+    end_m: float  # at the end of WITHIN_S
 
 
 def flight(type_name, course, seed, **options):
-    """Flight whose vehicle is lost at a moment of its course. options: other fields of a Flight."""
+    """Flight whose vehicle is lost at a time on its course. options: other fields of a Flight."""
     after_s = seed * _GOLDEN % 1.0 * make_course(course, 1).period_s
     node = {"state_land_s": _NEVER_S, **options.pop("node", {})}
     given = {"vehicles": 1, "types": (type_name,), "psi_deg": YAW_BY_SEED_DEG * seed, **options}
@@ -112,7 +111,7 @@ def _text(drifts):
     """A row of the table."""
     values = np.array(drifts)
     netted = np.isnan(values[:, 0])
-    values[netted, 1:] = math.inf  # they went as far as they could
+    values[netted, 1:] = math.inf  # a vehicle in the net counts as infinitely far
     speed_m_s = np.nanmedian(values[:, 0]) if not netted.all() else math.nan
     text = "%10.2f" % speed_m_s
     for drift_m in values[:, 1:4].T:

@@ -1,4 +1,4 @@
-"""Did the flight succeed? One place decides, from the figures of the bag."""
+"""Decides whether a flight succeeded, from the figures of its bag."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,19 @@ from data_extraction.report.faults import LANDED_HEIGHT_M
 from risc_lab.phases import OutCause
 from risc_simulator.faults import fault_settings
 
-_MAY_FOLLOW = (OutCause.LADDER, OutCause.LANDED, OutCause.SILENT, OutCause.MANUAL)  # from a fault
+_MAY_FOLLOW = (OutCause.LADDER, OutCause.LANDED, OutCause.SILENT, OutCause.MANUAL)  # a fault may cause these
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a flight must keep."""
+    """Limits that a flight must keep."""
 
     position_rmse_m: float = 0.10  # per vehicle, on the course after settling
     position_max_m: float = 0.30
     yaw_rmse_rad: float = 0.1
     net_margin_m: float = 0.05  # nearest approach to the net
     landed_height_m: float = LANDED_HEIGHT_M  # at the end of the flight
-    bearing_rms_deg: float = 0.2  # per vehicle, object and angle, of what its camera saw whole
+    bearing_rms_deg: float = 0.2  # per vehicle, object and angle, of objects fully in the picture
 
 
 def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespaces=None):
@@ -28,12 +28,12 @@ def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespa
 
     flight: data_extraction.flight_metrics.Flight; failure: why it failed while it was carried out; "" = it did not.
     with_cameras: every vehicle had to measure bearings.  faults: data_extraction.report.faults.Faults of the virtual
-    lab, whose outcomes must be safe: a vehicle that one may have happened to, or whose ladder left ok since the first,
-    may be off its course, and may land.  namespaces: {template: namespace}, needed with faults.
+    lab, whose outcomes must be safe. A vehicle that a fault may have affected, or whose ladder has left OK since the
+    first fault, may be off its course, and may land.  namespaces: {template: namespace}, needed with faults.
     """
     limits = limits or Limits()
     reasons = [failure] if failure else []
-    if faults is not None and not failure:  # which would name them
+    if faults is not None and not failure:  # the failure would name them
         reasons += ["%s %s" % (name, out.reason) for name, out in faults.out.items() if not _may_be_out(name, faults)]
     if faults:
         reasons += unsafe(faults)
@@ -51,14 +51,14 @@ def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespa
 
 
 def unsafe(faults):
-    """Yields what is not safe among the outcomes of data_extraction.report.faults.Faults."""
+    """Yields the unsafe outcomes of data_extraction.report.faults.Faults, as texts."""
     yield from ("fault %s: %s" % (fault.text, fault.outcome) for fault in faults.outcomes if not fault.is_safe)
 
 
 def never_began(faults, asked, vehicles):
-    """Why a flight failed in which fewer faults began than were asked for; "": nobody flew any more.
+    """Why a flight failed in which fewer faults began than were asked for; "" when no vehicle flew any more.
 
-    vehicles: how many there are.
+    vehicles: their number.
     """
     count = asked - len(faults.outcomes)
     if count <= 0 or len(faults.out) >= vehicles:
@@ -67,14 +67,14 @@ def never_began(faults, asked, vehicles):
 
 
 def _suffered(namespace, faults):
-    """Whether a fault may have happened to a vehicle, or its ladder has left ok since the first."""
+    """Whether a fault may have affected a vehicle, or its ladder has left OK since the first fault."""
     if any(fault.is_of(namespace) for fault in faults.outcomes):
         return True
     return faults.left_ok_s.get(namespace, -np.inf) >= faults.outcomes[0].begin_s
 
 
 def _may_be_out(namespace, faults):
-    """Whether faults may be why a vehicle took no part any more: its own, or a neighbour's that it had to avoid."""
+    """Whether faults may explain that a vehicle is out: its own, or those of a neighbour that it had to avoid."""
     out = faults.out[namespace]
     before = [fault for fault in faults.outcomes if fault.begin_s <= out.time_s]
     of_programs = any(fault_settings(fault.name).on_programs for fault in before)
@@ -107,7 +107,7 @@ def _judge_vehicle(vehicle, limits, arena):
         yield "never settled on its course"
     else:
         if vehicle.position_rmse_m > limits.position_rmse_m:
-            # an error that grows is a loop that oscillates
+            # a growing error means an oscillating loop
             parts = [1e3 * np.sqrt((part**2).mean()) for part in np.array_split(vehicle.error_m[vehicle.judged], 3)]
             text = "RMSE %.0f mm is over %.0f mm (in the three thirds of the course %.0f, %.0f, %.0f mm)"
             yield text % (1e3 * vehicle.position_rmse_m, 1e3 * limits.position_rmse_m, *parts)

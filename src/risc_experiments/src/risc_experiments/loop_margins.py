@@ -2,11 +2,12 @@
 
     rosrun risc_control loop_margins.py --delay 0.1 --bandwidth 0.7
 
-A vehicle without noise hovers in an offline flight: with the estimator, predictor, controller, vehicle node and link of
-any other. A pulse d, one frame long, is added to what reaches the aircraft's roll, pitch and climb loop; the commands c
-that follow are recorded. Pulses come at every frame of a period of frames, node ticks and command slots, and are
-averaged over it: what is left is the sensitivity S = 1 + C/D = 1/(1 + L) of the loop broken at the aircraft's command,
-so L = 1/S - 1, from which come crossover, gain, phase and delay margin, and max|S|. Nothing is modelled twice.
+A vehicle without noise hovers in an offline flight, with the same estimator, predictor, controller, vehicle node and
+link as in any flight. A pulse d, one frame long, is added to the input of the aircraft's roll, pitch and climb loops;
+the commands c that follow are recorded. The pulse is repeated at each frame of the common period of frames, node ticks
+and command slots, and the responses are averaged. They give the sensitivity S = 1 + C/D = 1/(1 + L) of the loop broken
+at the aircraft's command, so L = 1/S - 1, and from it crossover, gain, phase and delay margin, and max|S|. No second
+model of the loop is needed.
 """
 
 import argparse
@@ -34,22 +35,22 @@ _PULSES = {"roll": 0.5, "pitch": 0.5, "climb": 1.0}  # [rad, m/s] for a frame
 _FRAMES = 60  # 0.3 s: whole periods of frames, ticks (15 ms) and commands (30 Hz)
 _DECAY_S = 7.5  # from one pulse to the next
 _BEFORE_S = 12.0  # until it is on its course, and at rest
-_DECAYED = 0.03  # of its greatest answer, when the next pulse comes
+_DECAYED = 0.03  # fraction of the largest response that may be left when the next pulse comes
 FREQUENCIES_RAD_S = np.geomspace(0.2, 100.0, 4000)
 
 
 class Margins(NamedTuple):
-    """Of the loop of one axis. Infinite: no crossing."""
+    """Stability margins of one axis. Infinite: no crossing."""
 
     max_s: float
     phase_margin_deg: float
     delay_margin_ms: float
-    gain_margin_db: float  # to either side
-    crossover_rad_s: float  # the greatest
+    gain_margin_db: float  # in either direction
+    crossover_rad_s: float  # the highest
 
 
 class _Hovering(RunningFlight):
-    """A vehicle that hovers, and what its aircraft is told, frame by frame."""
+    """A hovering vehicle, and the commands that its aircraft receives, frame by frame."""
 
     def __init__(self, flight):
         super().__init__(replace(flight, vehicles=1, duration_s=math.inf, **_STILL))
@@ -70,7 +71,7 @@ class _Hovering(RunningFlight):
 
 
 def slower(vehicle_type, bandwidth):
-    """Flight.plant of attitude loops that are slower than those of their VehicleType."""
+    """Flight.plant with attitude loops slower than those of a VehicleType. bandwidth: factor."""
     loops = {"roll": vehicle_type.roll, "pitch": vehicle_type.pitch}
     return {
         a: replace(loop, natural_frequency_rad_s=bandwidth * loop.natural_frequency_rad_s) for a, loop in loops.items()
@@ -78,10 +79,10 @@ def slower(vehicle_type, bandwidth):
 
 
 def responses(flight, on_progress=None):
-    """(k, 3) what the commands of roll, pitch and climb are after a unit pulse of each, from its frame on.
+    """(k, 3) responses of the roll, pitch and climb commands to a unit pulse on each, from the pulse's frame on.
 
-    flight: Flight, of which one vehicle hovers without noise.  on_progress: takes the share that is flown.
-    Raises RuntimeError when it crashes, or does not come to rest between two pulses.
+    flight: Flight, of which one vehicle hovers without noise.  on_progress: called with the fraction that is flown.
+    Raises RuntimeError when the vehicle crashes, or the commands do not come to rest between two pulses.
     """
     running = _Hovering(flight)
     between, first = round(_DECAY_S / FRAME_S) // _FRAMES * _FRAMES + 1, round(_BEFORE_S / FRAME_S)
@@ -95,7 +96,7 @@ def responses(flight, on_progress=None):
     commands = np.array(running.commands)
     found = np.mean([commands[k : k + between] - commands[k - 1] for k in starts], axis=0)
     most, rest = np.abs(found).max(axis=0), np.abs(found[-between // 10 :]).max(axis=0)
-    hums = np.ptp(commands[first - between // 4 : first], axis=0)  # before the first: dead zones and steps of sticks
+    hums = np.ptp(commands[first - between // 4 : first], axis=0)  # without pulses: dead zones and steps of sticks
     alive = rest > _DECAYED * most + hums
     alive[:2] |= hums[:2] > 0.5 * most[:2]  # attitude loops oscillate without a pulse
     for axis, is_alive in zip(AXES, alive):
@@ -106,20 +107,20 @@ def responses(flight, on_progress=None):
 
 
 def sensitivity(response, frequencies_rad_s=FREQUENCIES_RAD_S):
-    """S (k,) of one axis at these frequencies. response: (n,) of its command, per frame, as of `responses`."""
+    """S (k,) of one axis at these frequencies. response: (n,) of its command, a column of `responses`."""
     turns = np.exp(-1j * FRAME_S * np.outer(frequencies_rad_s, np.arange(len(response))))
     return 1.0 + turns @ response
 
 
 def margins(S, frequencies_rad_s=FREQUENCIES_RAD_S):
-    """Margins of a loop by its S."""
+    """Margins of a loop from its sensitivity S (k,)."""
     w, L = frequencies_rad_s, 1.0 / S - 1.0
     size_db, phase_rad = 20.0 * np.log10(np.abs(L)), np.unwrap(np.angle(L))
     crosses = np.flatnonzero(size_db[:-1] * size_db[1:] <= 0.0)
-    left_rad = np.remainder(np.angle(L[crosses]) + math.pi, 2.0 * math.pi)  # later by so much, it would be unstable
+    left_rad = np.remainder(np.angle(L[crosses]) + math.pi, 2.0 * math.pi)  # phase lag to instability
     near_rad = np.minimum(left_rad, 2.0 * math.pi - left_rad)
     turns = np.floor((phase_rad - math.pi) / (2.0 * math.pi))
-    through = np.flatnonzero(turns[:-1] != turns[1:])  # the negative real axis
+    through = np.flatnonzero(turns[:-1] != turns[1:])  # crossings of the negative real axis
     return Margins(
         float(np.abs(S).max()),
         math.degrees(near_rad.min(initial=math.inf)),
@@ -139,7 +140,7 @@ def figures(per_axis):
 
 
 def picture(path, per_axis_s, title):
-    """|S| and the phase margin's plane of all axes."""
+    """Draw |S| and the Nyquist plot of L, of all axes."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.5), layout="constrained")
     circle = np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 200))
     for axis, S in per_axis_s.items():

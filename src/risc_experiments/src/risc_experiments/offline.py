@@ -3,7 +3,7 @@ logic as in the nodes, around the virtual lab's physics, cameras and radio.
 
     python3 -m risc_experiments.offline --trajectory circle --vehicles 3 --seeds 5 --delay 0.1
 
-A seed reproduces a flight bit for bit, and `fly_all` flies as many at once as there are cores. What is not here:
+A seed reproduces a flight bit for bit, and `fly_all` flies as many at once as there are cores. Not simulated are
 processes, sockets and the scheduler's jitter; the time from exposure to the controller's answer is a constant.
 """
 
@@ -59,8 +59,8 @@ WARM_UP_S = 1.0  # hovering, before the operator presses the button
 LONGEST_WAY_S = 120.0  # until all are on the course; ways take at most a third of it (WayLimits.longest_s)
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
-LANDING_S = 15.0  # longer than the flight, for vehicles that land
-MAX_REPORTED_DELAY_S = 0.5  # as stream_markers believes
+LANDING_S = 15.0  # after the end of the flight, for vehicles that are still landing
+MAX_REPORTED_DELAY_S = 0.5  # stream_markers believes no longer ones
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
 _CAMERA_STREAM, _RADIO_STREAM = 1000, 1001  # spawn keys beside those of the vehicles in the world
 
@@ -84,27 +84,27 @@ class Flight:
     delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of each vehicle
     psi_deg: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
-    plant: dict = field(default_factory=dict)  # what the true vehicles have otherwise, see PlantParams
+    plant: dict = field(default_factory=dict)  # PlantParams in which the true vehicles differ
     gusts: bool | Gusts = False  # moving air; True: the usual gusts
     noise: bool = True  # of the cameras, and of sensors on board
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
-    params: object = None  # its PARAMS, or {key: number} of what is not as in its YAML file
-    fleet: str = ""  # fleet file, of which the first so many fly; "" = one of the shipped ones
+    params: object = None  # the controller's PARAMS, or {key: number} that replace those of its YAML file
+    fleet: str = ""  # fleet file, of which the first `vehicles` fly; "" = one of the shipped ones
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
-    overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
+    overrides: dict = field(default_factory=dict)  # numbers that replace those of the vehicles' types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     speed: str | None = None  # of the course, as `speed_factor` takes it; None = by its numbers
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
     faults: tuple[FaultEvent, ...] = ()  # which start when the course is reached, before the settling time
-    # the same, but they start when the flight does, and nothing is told of them. Channels are cortex/frames,
-    # cortex/stream, NAMESPACE/commands and NAMESPACE/navdata; what has no bytes is not corrupted
+    # faults that start when the flight does, and are not reported in the Result. Channels are cortex/frames,
+    # cortex/stream, NAMESPACE/commands and NAMESPACE/navdata; messages without bytes are not corrupted
     wire_faults: tuple[FaultEvent, ...] = ()
 
 
 class Said(NamedTuple):
-    """What a ladder said."""
+    """A report of a vehicle's ladder."""
 
     time_s: float
     vehicle: int  # its place in the fleet
@@ -113,7 +113,7 @@ class Said(NamedTuple):
 
 
 class Result(NamedTuple):
-    """How it was flown. With faults a vehicle may land, and an error from a course that was left says nothing."""
+    """Result of a flight. With faults a vehicle may land; its errors after it has left its course mean nothing."""
 
     names: tuple
     rmse_m: np.ndarray  # (n,) position against truth, on the course after settling
@@ -125,19 +125,19 @@ class Result(NamedTuple):
     times_s: np.ndarray  # (k,)
     reference_m: np.ndarray  # (k, n, 3)
     actual_m: np.ndarray  # (k, n, 3)
-    safety: tuple  # of (time [s], name, text): what the ladders said, from the first trouble on
+    safety: tuple  # of (time [s], name, text): reports of the ladders, from the first level above OK on
     landed: tuple  # (n,) bool, at the end
     # see `offline_outcome`
     faults: tuple = ()  # FaultOutcome of each of Flight.faults, in their order
     breaches: tuple = ()  # Breach
     contacts: tuple = ()  # Contact
-    # for statistics; vehicles as their places in the fleet, times those of what the nodes know
+    # for statistics; vehicles are given by their place in the fleet, times are those of the nodes
     reached_s: float = 0.0  # when all were on the course
     judged: np.ndarray | None = None  # (k,) bool: settled
     namespaces: tuple = ()
-    levels: tuple = ()  # of Said: what the ladders said, from the first trouble on
+    levels: tuple = ()  # of Said, from the first level above OK on
     unseen: tuple = ()  # of (time [s], vehicle): motion capture has lost it
-    left_s: tuple = ()  # (n,) when each has left its course for good: it was to land, or crashed; infinite: never
+    left_s: tuple = ()  # (n,) when each left its course for good, to land or by a crash; infinite: never
 
 
 def fly(flight):
@@ -167,11 +167,11 @@ def _outcome(flight):
 
 
 class RunningFlight:
-    """A flight under way, frame by frame until it is over, and what came of it.
+    """A flight that runs frame by frame until it is over, and its outcome.
 
-    Its parts are those of the graph: world and cameras, estimator, references, controller, and a `Chain` of vehicle
-    node, link and on-board logic for each vehicle. Times are `_time_s`, that of the world and its exposures, and
-    `_now_s`, that of the nodes, LATENCY_S later.
+    Its parts are those of the ROS graph: world and cameras, estimator, references, controller, and a `Chain` of vehicle
+    node, link and on-board logic for each vehicle. There are two times: `_time_s` of the world and its exposures, and
+    `_now_s` of the nodes, LATENCY_S later.
     """
 
     def __init__(self, flight):
@@ -185,7 +185,7 @@ class RunningFlight:
         self._set_up_references_and_control(fleet, vehicle_types)
         self._set_up_vehicles(fleet, vehicle_types)
         self._set_up_faults()
-        self._times, self._references, self._truths, self._judged = [], [], [], []  # one of JUDGE_EVERY frames
+        self._times, self._references, self._truths, self._judged = [], [], [], []  # every JUDGE_EVERY frames
         self._saturated, self._settled_s = 0, math.inf
         self._unseen, self._seen_before = [], [False] * len(self._names)
 
@@ -234,7 +234,7 @@ class RunningFlight:
     def _set_up_vehicles(self, fleet, vehicle_types):
         """Vehicle nodes, links and what the nodes know of each other; all vehicles hover where they start."""
         flight, names, noise = self._flight, self._names, float(self._flight.noise)
-        exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one that is still is seen where it was
+        exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one at rest is seen at exactly one place
         params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **exact, **flight.node})
         self._separation = Separation(names, params, names, wider_m(fleet.vehicles))
         self._plausibility = Plausibility(dict(zip(names, vehicle_types)), params)
@@ -247,14 +247,14 @@ class RunningFlight:
             self._chains.append(Chain(vehicle, rng.random(), noise, params, self._wires, *told))
 
     def _note_command(self, i, time_s, command):
-        """A command was sent: for the controller, and for a filter that asks for it."""
+        """Tell the controller, and a filter that asks for it, that a command was sent."""
         self._loop.sent.append(i, time_s, command)
         self._estimator.on_board(self._estimator.names[i], time_s, COMMAND, command)
 
     def _set_up_faults(self):
         flight = self._flight
         self._injector = Injector(self._world, self._wires, flight.seed, {"cortex": self._mocap})
-        self._records = []  # FaultRecord of each of Flight.faults, from when they count on
+        self._records = []  # FaultRecord of each of Flight.faults, once the course is reached
         for event in flight.wire_faults:
             self._injector.add(event, 0.0)
         for event in flight.faults:
@@ -288,7 +288,7 @@ class RunningFlight:
         self._frames += 1
 
     def _let_lab_go_on(self):
-        """World, wires and sensors up to now; what the cameras have seen is on its way."""
+        """Advance world, wires and sensors to now, and send what the cameras have seen."""
         self._injector.step(self._now_s)
         self._world.step_to(self._time_s)
         self._wires.release(self._now_s)
@@ -297,7 +297,7 @@ class RunningFlight:
         self._mocap.send(seen, self._now_s)
 
     def _estimate_states(self):
-        """Hand the estimator what has arrived. Returns whether it has made anything of it."""
+        """Give the estimator what has arrived. Returns whether there is a new estimate."""
         hears = False
         for seen in self._mocap.arrived:
             estimate = self._estimator.update(*seen)
@@ -309,7 +309,7 @@ class RunningFlight:
         return hears
 
     def _states_for_nodes(self, hears):
-        """States of the vehicles, as far as they are seen, and have not been lost for good."""
+        """States of the vehicles; those that are not seen, or lost for good (`Flight.loss`), are not visible."""
         n, loss = len(self._names), self._flight.loss
         states = States(self._estimate.visible[:n], self._estimate.states[:n])  # attached bodies come after
         if hears:
@@ -337,7 +337,7 @@ class RunningFlight:
         return bodies
 
     def _press_buttons(self):
-        """The operator has all flown by the controller; who refuses is asked again."""
+        """Switch all vehicles to the controller, as the operator does; those that refuse are asked again."""
         for name, chain, state in zip(self._names, self._chains, self._estimate.states):
             if not chain.pilot.autonomous:
                 self._manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
@@ -356,12 +356,12 @@ class RunningFlight:
         return self._loop.update(self._stamp_s, self._now_s, *told)
 
     def _look_around(self, states, reference):
-        """What the vehicle nodes find at their ticks: `separation.Look` of each vehicle; what its state contradicts."""
+        """What the vehicle nodes find at a tick: `separation.Look` and the doubt about its state, of each vehicle."""
         if self._frames % TICK_EVERY:
             return (), ()
         names, stamp_s, separation = self._estimate.names[: len(self._names)], self._stamp_s, self._separation
         believed, suspects = self._plausibility.look(names, states.visible, states.x, stamp_s), ()
-        if believed is None:  # nothing new: what they found last
+        if believed is None:  # no new states: the last result
             return self._looks
         if False in believed.tolist():
             suspects = [self._plausibility.reason(name) for name in self._names]
@@ -374,7 +374,7 @@ class RunningFlight:
         return self._looks
 
     def _note(self, reference):
-        """Begin what counts from the course on; keep what errors are made of."""
+        """Start the faults when all have reached the course; record the samples for the errors."""
         if self._settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
             self._settled_s = self._time_s + SETTLE_S
             self._records = [self._injector.add(event, self._now_s) for event in self._flight.faults]
@@ -385,7 +385,7 @@ class RunningFlight:
             self._judged.append(self._time_s >= self._settled_s)
 
     def _check_course(self, reference):
-        """Raises RuntimeError for a crash that no fault explains, or when it takes too long to the course."""
+        """Raises RuntimeError for a crash that no fault explains, or when the course is not reached in time."""
         if self._world.crashes and not self._records:
             crash = self._world.crashes[0]
             raise self._ended("%s %s after %.1f s" % (crash.namespace, crash.reason, crash.time_s))
@@ -397,14 +397,14 @@ class RunningFlight:
 
     def _ended(self, text):
         error = RuntimeError(text)
-        error.add_note("in %r" % (self._flight,))  # for who has to repeat it
+        error.add_note("in %r" % (self._flight,))  # for repeating it
         return error
 
     # --- the end ------------------------------------------------------------------------------------------------
 
     @property
     def is_over(self):
-        """The time is over, and after faults nobody lands any more; or all are down for good."""
+        """True when the time is over, and after faults no vehicle is landing any more; or all are down for good."""
         end_s = self._settled_s + self._flight.duration_s
         if self._time_s >= end_s:
             over = not self._records or self._time_s >= end_s + LANDING_S
@@ -413,7 +413,7 @@ class RunningFlight:
         return bool(self._records) and all(chain.rests for chain in self._chains)
 
     def outcome(self):
-        """Its Result."""
+        """The flight's Result."""
         chains, n = self._chains, len(self._names)
         references, truths, judged = np.array(self._references), np.array(self._truths), np.array(self._judged)
         errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
@@ -448,7 +448,7 @@ class RunningFlight:
 
 
 class _Mocap:
-    """From the cameras to what the estimator hears: Cortex and the network. It is also the host that faults stop."""
+    """The path from the cameras to the estimator: Cortex and the network. It is also the host that faults stop."""
 
     def __init__(self, wires):
         self._frames, self._stream = wires.frames("cortex/frames"), wires.wire("cortex/stream")
@@ -456,15 +456,15 @@ class _Mocap:
         self.arrived = []  # Observations
 
     def stop(self):
-        """The program ends."""
+        """End the program."""
         self._runs = False
 
     def start(self):
-        """It begins again, and its clients find it at once."""
+        """Start the program again; its clients find it at once."""
         self._runs = True
 
     def send(self, seen, now_s):
-        """The cameras have seen this."""
+        """Send an observation of the cameras."""
         if self._first:  # the first is never lost
             self._first = False
             self.arrived.append(seen)
@@ -581,7 +581,7 @@ def main(argv=None):
 
 
 def _told(result):
-    """What became of the faults of a flight, e.g. "mocap_blackout:3 landed after 105 ms"."""
+    """Text of how the faults of a flight ended, e.g. "mocap_blackout:3 landed after 105 ms"."""
     told = []
     for fault in result.faults:
         after = "" if fault.reaction_ms is None else " after %.0f ms" % fault.reaction_ms

@@ -12,7 +12,7 @@ FRAME_S = 0.005
 LATENCY_S = 0.006  # exposure to the controller's answer: 3 ms in the mocap host, 3 ms in the nodes
 TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
 
-_REPORTS = {  # what a vehicle says of itself
+_REPORTS = {  # what a vehicle reports in each phase
     FlightPhase.LANDED: FlightState.LANDED,
     FlightPhase.TAKING_OFF: FlightState.TAKING_OFF,
     FlightPhase.HOVERING: FlightState.HOVERING,
@@ -26,9 +26,9 @@ class Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, and the link of its type."""
 
     def __init__(self, vehicle, phase, noise, params, wires, on_sent, on_battery):
-        """phase: of the radio's clock, a fraction.  noise: of its sensors, a factor.  params: VehicleNodeParams.
-        on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
-        on_battery: takes the charge that the vehicle tells, and when.
+        """phase: of the radio's clock, a fraction of its period.  noise: factor on the noise of the vehicle's sensors.
+        params: VehicleNodeParams.  on_sent: called with time and command, as `CommandHistory.append`, of each command.
+        on_battery: called with the charge that the vehicle reports, and the time.
         """
         self._on_sent, self._on_battery = on_sent, on_battery
         self._flies_itself = adapter_class(vehicle.type).FLIES_ITSELF
@@ -37,23 +37,23 @@ class Chain:
         self.pilot = VehiclePilot(params, vehicle.type, 0.0)
         self._autonomy_button = params.JoytoWay
         self.name, self._vehicle, self._phase = vehicle.namespace, vehicle, None
-        self.said = []  # (time [s], Verdict) of its ladder, from the first trouble on
+        self.said = []  # (time [s], Verdict) of its ladder, from the first level above OK on
         self.fell_s = None  # when its motors were cut in the air
-        self.descents_s = []  # when it began to land, whoever wanted that
+        self.descents_s = []  # when it began to land, for any reason
         self.lost = None  # "controls" or "laptop"
-        self.deliver = self._link.deliver  # takes the time: gives the vehicle what the radio brings
+        self.deliver = self._link.deliver  # called with the time: gives the vehicle what has come by radio
         self._wire = wires.wire("%s/commands" % vehicle.namespace)
         self._wires, self._reports = wires, wires.wire("%s/navdata" % vehicle.namespace)
 
     def press_autonomous(self, now_s):
-        """The operator presses the button, and lets go."""
+        """Press the button for autonomous mode, as the operator does."""
         buttons = [0] * 11
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
         buttons[self._autonomy_button] = 1
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
 
     def lose(self, what, now_s):
-        """From now on it has no controller or no laptop; of the second the vehicle takes notice by itself."""
+        """Take away the controller or the laptop for good; the vehicle itself notices that the laptop is lost."""
         if what == "laptop" and self.lost is None:
             self._link.lose(now_s)
         self.lost = what
@@ -64,12 +64,12 @@ class Chain:
         return self._link.phase is FlightPhase.LANDED
 
     def levels(self, begin_s, end_s):
-        """Levels that its ladder entered in this time."""
+        """Levels that its ladder entered from begin_s to end_s."""
         return [verdict.level for said_s, verdict in self.said if begin_s <= said_s < end_s]
 
     @property
     def lands(self):
-        """Whether it is to land, and has not."""
+        """Whether its ladder has ordered a landing, and it is not down yet."""
         return self.pilot.ladder.verdict.level is FailsafeLevel.LAND and not self.down
 
     @property
@@ -83,7 +83,7 @@ class Chain:
         return self.down and not self._vehicle.firmware.motors_on
 
     def see(self, visible, state, stamp_s, now_s, frame, look, suspect=""):
-        """What the vehicle node looks at once a tick. state: list of 12, columns `S`.  suspect: what it contradicts."""
+        """Update the vehicle node, once a tick. state: list of 12, columns `S`.  suspect: doubt about it, or ""."""
         pilot = self.pilot
         if frame % self._report_every == 0:
             self._report(now_s)
@@ -97,7 +97,7 @@ class Chain:
             pilot.on_state(own, now_s - stamp_s, now_s, look)
 
     def _report(self, now_s):
-        """What the vehicle says of itself is on its way."""
+        """Send the vehicle's report of its own status."""
         report, late_s = self._link.report(now_s), self._link.report_delay_s
         if late_s > 0.0:
             self._wires.call_at(now_s + late_s, lambda at_s: self._reports.carry(report, None, at_s, self._hear))
@@ -118,7 +118,7 @@ class Chain:
         self._on_battery(battery_pct, now_s)
 
     def send(self, orders, now_s):
-        """Hand what was ordered to the vehicle's link."""
+        """Pass the orders of the vehicle node to the vehicle's link."""
         if orders.safety is not None and (self.said or self.pilot.ladder.verdict.level > FailsafeLevel.OK):
             self.said.append((now_s, orders.safety))
         if orders.land:
@@ -138,10 +138,10 @@ class Chain:
 
 
 def step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects=()):
-    """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
+    """Run the vehicle nodes for one frame: they send a command where one is due, and update themselves once a tick.
 
     states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
-    looks: `separation.Look` of each vehicle.  suspects: what the state of each contradicts; () = none's does.
+    looks: `separation.Look` of each vehicle.  suspects: doubt about the state of each, "" or a reason; () = no doubts.
     """
     ticks, commands = frame % TICK_EVERY == 0, None
     if ticks:

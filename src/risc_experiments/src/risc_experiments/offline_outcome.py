@@ -1,4 +1,4 @@
-"""What became of a flight without ROS: what was hit, who left its course, and how each fault ended."""
+"""Outcome of a flight without ROS: crashes, contacts, vehicles that left their course, and how each fault ended."""
 
 import math
 from typing import NamedTuple
@@ -24,19 +24,19 @@ class Contact(NamedTuple):
 
 
 class FaultOutcome(NamedTuple):
-    """What became of a fault."""
+    """Outcome of one fault."""
 
     name: str
     args: str  # as on the command line, with the vehicle that the seed chose
     start_s: float  # of the flight
     end_s: float | None  # None: it had no end
-    outcome: str  # completed, held, landed or breach: the worst of what a vehicle did until the next fault
-    safe: bool  # its member calls that safe, and no two vehicles touched
-    reaction_ms: float | None  # from its begin to the first ladder that left OK; None: none did
+    outcome: str  # completed, held, landed or breach: the worst of any vehicle until the next fault
+    safe: bool  # the fault's member calls the outcome safe, and no two vehicles touched
+    reaction_ms: float | None  # from the fault's start to the first ladder that left OK; None: none did
 
 
 def breaches_of(world, chains):
-    """Breaches in the order of their times; of one that fell without a crash: when its motors stopped."""
+    """Breaches in order of time; for a vehicle that fell without a crash: when its motors stopped."""
     found = [Breach(crash.time_s, crash.namespace, crash.reason) for crash in world.crashes if not crash.other]
     crashed = {crash.namespace for crash in world.crashes}
     found += [Breach(chain.fell_s, chain.name, "fell: its motors were cut") for chain in chains
@@ -45,13 +45,13 @@ def breaches_of(world, chains):
 
 
 def contacts_of(world):
-    """Each pair that touched, once a touch."""
+    """Contacts in order of time: one for each touch of a pair."""
     pairs = {(crash.time_s, *sorted((crash.namespace, crash.other))) for crash in world.crashes if crash.other}
     return tuple(Contact(*pair) for pair in sorted(pairs))
 
 
 def left_course_s(chain, breaches, contacts):
-    """When a vehicle has left its course for good; infinite: never."""
+    """Time [s] when a vehicle left its course for good; infinite: never."""
     times_s = [said_s for said_s, verdict in chain.said if verdict.level is FailsafeLevel.LAND]
     times_s += [breach.time_s for breach in breaches if breach.name == chain.name]
     times_s += [contact.time_s for contact in contacts if chain.name in (contact.name, contact.other)]
@@ -59,7 +59,7 @@ def left_course_s(chain, breaches, contacts):
 
 
 def judge_faults(records, chains, breaches, contacts):
-    """Yield a FaultOutcome of each FaultRecord: what happened from its begin to that of the next one counts."""
+    """Yield the FaultOutcome of each FaultRecord, judged from its start to the start of the next one."""
     begins_s = sorted(record.begins_s for record in records)
     for record in records:
         until_s = min((begin_s for begin_s in begins_s if begin_s > record.begins_s), default=math.inf)

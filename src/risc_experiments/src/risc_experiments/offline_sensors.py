@@ -1,7 +1,7 @@
-"""What vehicles measure on board in flights without ROS, for filters that ask for it (filters.VelocityFilter.ON_BOARD).
+"""On-board measurements in flights without ROS, for filters that ask for them (filters.VelocityFilter.ON_BOARD).
 
-From the virtual vehicle to the filter everything is that of the graph: sensors, packets, the driver's message, the
-readings made of it. A vehicle's packets pass a wire, e.g. risc1/navdata. Its clock begins at a moment of its own.
+From the virtual vehicle to the filter everything is as in the ROS graph: sensors, packets, the driver's message, the
+readings made of it. A vehicle's packets pass a wire, e.g. risc1/navdata. The first one is sent at a random time.
 """
 
 import numpy as np
@@ -9,15 +9,15 @@ import numpy as np
 from risc_estimation import sensors
 from risc_estimation.filters import COMMAND
 
-WAY_S = 0.001  # from the measurement to the driver, which dates the message
+WAY_S = 0.001  # from the measurement to the driver, which stamps the message
 _STREAM = 1002  # spawn key beside those of `offline`
 
 
 class OnBoardReadings:
-    """Of a fleet; nobody's when the estimator's filter asks for nothing."""
+    """On-board readings of a fleet; none when the estimator's filter asks for none."""
 
     def __init__(self, estimator, vehicles, wires, seed, noise):
-        """vehicles: world.Vehicles, still on the floor.  noise: factor on that of their sensors.
+        """vehicles: world.Vehicles, still on the floor.  noise: factor on the noise of their sensors.
 
         Raises ImportError without ROS, whose messages the readings are made of.
         """
@@ -36,7 +36,7 @@ class OnBoardReadings:
                 self._sources.append([rng.uniform(0.0, telemetry.period_s), vehicle.name, kind, telemetry, wire])
 
     def send(self, time_s):
-        """Let all vehicles measure and send whose turn it is at world time time_s."""
+        """Let all vehicles that are due at world time time_s measure and send."""
         for source in self._sources:
             due_s, _, _, telemetry, wire = source
             if due_s <= time_s:

@@ -1,16 +1,16 @@
 """The virtual operator: flies an experiment by pressing the buttons of joysticks. No ROS.
 
-One joystick a vehicle. The operator looks at what a person would look at (is it seen by mocap, what does the vehicle
-report, what does its joystick node say) and presses two buttons: take-off/land and manual/autonomous. Only a vehicle
-that has fallen silent is asked to land by its service: it may have landed already, and then the button is a take-off.
+Each vehicle has a joystick. The operator looks at what a person would look at (is it seen by mocap, what does the
+vehicle report, what does its joystick node say) and presses two buttons: take-off/land and manual/autonomous. Only a
+silent vehicle is asked to land by its service: it may have landed already, and the button would mean take-off.
 
     waiting -> takeoff -> settle -> fly -> home -> land -> done | aborted
 
-After the end it waits; told to (`fly_again`), it starts over with all vehicles.
+After the end it waits; `fly_again` starts another flight with all vehicles.
 
-Whatever lasts too long, and the request to land, leads to `land`. A vehicle that lands by itself (its loss ladder),
-falls silent or loses its joystick node is noted as failed: it is told to land, again and again until it reports that it
-stands, and is left alone from then on; the others fly on. Times are seconds of a clock that never steps.
+A phase that takes too long, and a request to land, lead to `land`. A vehicle that lands by itself (its loss ladder),
+falls silent or loses its joystick node has failed: it is told to land, again and again until it reports that it
+stands, and is left alone from then on; the others fly on. Times are seconds of a monotonic clock.
 """
 
 import math
@@ -23,14 +23,14 @@ from risc_lab.phases import OperatorResult, OutCause
 from risc_lab.phases import TrajectoryPhase as Trajectory
 from risc_lab.settings import Count, NotNegative, Settings
 
-JOY_RATE_HZ = 10.0  # of its joysticks; once a message it looks, decides and presses
-_PRESS_MESSAGES = 2  # a button is down in so many messages, and up in at least as many: no late clock loses an edge
+JOY_RATE_HZ = 10.0  # of its joysticks; one `Operator.step` for each message
+_PRESS_MESSAGES = 2  # a button is down in so many messages, then up in at least as many: a late message loses no edge
 _LAND_AGAIN_S = 2.0
-_LISTEN_S = 1.0  # to vehicles that fly already
+_LISTEN_S = 1.0  # to find out which vehicles fly already
 _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
 _TOGGLE_AGAIN_S = 1.0
-_TAKEOFF_PENDING_S = 3.0  # a take-off that was pressed may show that late: until then "landed" is no proof
+_TAKEOFF_PENDING_S = 3.0  # a take-off may show in the reports that late: until then "landed" proves nothing
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class OperatorParams(Settings):
     settle: NotNegative = 2.0  # [s] hovering before the course
     ready: NotNegative = 0.5  # [s] everything must have been ready for so long before take-off
     seen_timeout: NotNegative = 0.3  # [s] mocap
-    report_timeout: NotNegative = 3.0  # [s] navdata, controller_status; ladders, which come first, wait up to 2.5 s
+    report_timeout: NotNegative = 3.0  # [s] navdata, controller_status; ladders must act first, and wait up to 2.5 s
     waiting_timeout: NotNegative = 60.0  # [s] until all is ready
     takeoff_timeout: NotNegative = 20.0  # [s] until all hover
     autonomous_timeout: NotNegative = 10.0  # [s] until all are in autonomous mode
@@ -56,7 +56,7 @@ class OperatorParams(Settings):
 
     @property
     def rest_s(self):
-        """At the origin [s]."""
+        """Time at the origin before each figure [s]."""
         return min(self.rest, self.duration)
 
     def __post_init__(self):
@@ -66,7 +66,7 @@ class OperatorParams(Settings):
 
 
 def course_s(params):
-    """How long vehicles stay on their course, or with bumper steps: on all figures and before each of them."""
+    """Time on the course [s]; with bumper steps: on all figures, and at the origin before each of them."""
     steps = params.bumper_steps
     figures = (steps + 1) // 2  # every other stay, the origin is the first
     return figures * params.duration + (steps + 1 - figures) * params.rest_s if steps else params.duration
@@ -75,9 +75,9 @@ def course_s(params):
 def time_limit_s(params):
     """How long a flight takes at most [s], all phases and their time-outs together.
 
-    Not in it: a few periods of `step`, one for each phase.
+    Not included: a few periods of `step`, one for each phase.
     """
-    # both time-outs before the course count from the begin of the phase
+    # both time-outs before the course count from the start of the phase
     fly_s = max(params.autonomous_timeout, params.course_timeout) + course_s(params)
     before_s = params.waiting_timeout + params.ready + params.takeoff_timeout + params.settle
     presses_s = params.bumper_steps * 2.0 * _PRESS_MESSAGES / JOY_RATE_HZ
@@ -118,19 +118,19 @@ class Watched:
         self.autonomous = False
         self.trajectory_phase = None
         self.safety, self.safety_reason = FailsafeLevel.OK, ""
-        self.refusals = ()  # why it did not take off when it was told to last
+        self.refusals = ()  # why it refused the last order to take off
         self.seen_s = self.reported_s = self.status_s = -math.inf
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
         self.take_part()
 
     def take_part(self):
-        """In a flight that begins."""
-        self.failure, self.cause = "", None  # why it is out, in words and as OutCause; "" while it takes part
-        self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was told so last
+        """Take part in a new flight."""
+        self.failure, self.cause = "", None  # why it is out, as text and as OutCause; "" while it takes part
+        self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was last told to do that
 
     def note_report(self, state, now_s):
-        """It reports its state number."""
+        """Take a report of its state number."""
         self.flight_state, self.reported_s = int(state), now_s
         if state in ON_GROUND:
             self._in_air, self._ground_s = False, now_s
@@ -146,11 +146,11 @@ class Watched:
         return self._in_air and not self.is_silent(params, now_s)
 
     def is_silent(self, params, now_s):
-        """True when its newest report tells nothing any more."""
+        """True when its newest report is too old."""
         return now_s - self.reported_s > params.report_timeout
 
     def leave(self, cause, failure):
-        """It takes no part any more."""
+        """Take it out of the flight."""
         self.cause, self.failure = cause, failure
 
     def not_ready(self, params, now_s):
@@ -169,31 +169,31 @@ class Watched:
 
 
 class Operator:
-    """The sequence for all vehicles. Tell `vehicles` what is heard, call `step` at the rate of the joystick messages.
+    """The sequence for all vehicles. Update `vehicles` with what is received; call `step` at the rate of the joysticks.
 
-    vehicles: their namespaces.  go_home: function that has the trajectory node bring all home (or hold, when there is
-    no such node), and `home_called` told how that went.  land: function of a namespace that calls its service to land.
-    Neither of them waits.  started_again: an operator before this one has taken off, and died: what is in the air is
-    landed, and nothing takes off.
+    vehicles: their namespaces.  go_home: function that asks the trajectory node to bring all home (or to hold, when
+    there is no such node) and gives the result to `home_called`.  land: function of a namespace that calls its landing
+    service.  Neither of them blocks.  started_again: an earlier operator has taken off, and died: vehicles in the air
+    are landed, and none takes off.
     """
 
     def __init__(self, vehicles, params, now_s, go_home, land, started_again=False):
         self.vehicles = {name: Watched() for name in vehicles}
         self._params, self._call_home, self._call_land = params, go_home, land
         self._begin(now_s)
-        self._found_flight = started_again  # that is not this operator's
+        self._found_flight = started_again  # vehicles fly that this operator did not start
 
     def _begin(self, now_s):
         self.phase = Phase.WAITING
         self.text = ""  # detail of the phase
         self.result, self.reason = OperatorResult.RUNNING, ""  # reason: why it failed
-        self.flight_failed = False  # as a whole, beside what single vehicles did
-        self._since_s = now_s  # begin of the phase
+        self.flight_failed = False  # as a whole, not only single vehicles
+        self._since_s = now_s  # start of the phase
         self._ready_since_s = None
         self._course_since_s = None
         self._step_since_s = None
         self._steps_left = 0
-        self._failure = ""  # why it did
+        self._failure = ""  # why the flight failed
         self._found_flight = False
 
     def fly_again(self, now_s):
@@ -222,7 +222,7 @@ class Operator:
 
     @property
     def out(self):
-        """[(namespace, OutCause, words)] of the vehicles that take no part any more."""
+        """[(namespace, OutCause, text)] of the vehicles that are out of the flight."""
         return [(name, w.cause, w.failure) for name, w in self.vehicles.items() if w.failure]
 
     @property
@@ -235,10 +235,10 @@ class Operator:
         return self.phase.name.lower() + (": " + self.text if self.text else "")
 
     def step(self, now_s):
-        """Look, decide, press."""
+        """Evaluate the reports, decide, and press buttons."""
         if self.phase in (Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME):
             self._note_failures(now_s)
-            # an order may meet a dead joystick node or a lost link: those that are out are told until they stand
+            # a dead joystick node or a lost link may lose an order: repeat it for those that are out until they stand
             self._order_landings([name for name, w in self.vehicles.items() if w.failure], now_s)
             if not self._taking_part():
                 self._land_all("no vehicle flies any more", now_s)
@@ -357,10 +357,10 @@ class Operator:
     _aborted = _done
 
     def _order_landings(self, names, now_s):
-        """Tell them to land now and then, but press the button only where one is known to fly: else it means take-off.
+        """Tell vehicles to land, repeatedly; press the button only if one is known to fly: else it means take-off.
 
-        After an outage its reports of before come first, as if they were new. So one that is out, or was told already,
-        is told by its service, which never means take-off.
+        After an outage, old reports arrive first and look new. So a vehicle that is out, or was told already, is told
+        by its service, which never means take-off.
         """
         for name in names:
             w = self.vehicles[name]
@@ -376,7 +376,7 @@ class Operator:
                 w.land_s = now_s
 
     def _note_failures(self, now_s):
-        """Take out the vehicles that land, fell or fell back to manual mode without being told to."""
+        """Take out the vehicles that land, fall silent or fall back to manual mode without being told to."""
         started = self.phase != Phase.TAKEOFF
         limit_s = self._params.report_timeout
         flew = self.phase == Phase.HOME or self._course_since_s is not None

@@ -25,7 +25,7 @@ def number(least, most=math.inf):
 
 
 def name_list(text):
-    """Type of an option: names between commas, each of them once."""
+    """Type of an option: names separated by commas; repeated names count once."""
     found = list(dict.fromkeys(filter(None, (name.strip() for name in text.split(",")))))
     if not found:
         raise argparse.ArgumentTypeError("needs at least one name")
@@ -55,13 +55,13 @@ def speed(text):
 
 
 def add_set_option(add):
-    """Give a parser the option --set; `numbers_of` says what it means. add: its add_argument."""
+    """Add the option --set to a parser; `numbers_of` evaluates it. add: the parser's add_argument."""
     help_text = "another parameter of the controller, e.g. q_tilt=3; may be given again"
     add("--set", action="append", default=[], metavar="KEY=NUMBER", help=help_text)
 
 
 def numbers_of(controller, changes):
-    """{key: number} of "KEY=NUMBER"s, which are parameters of a controller. Raises ValueError."""
+    """{key: number} of texts "KEY=NUMBER", where KEY is a parameter of a controller. Raises ValueError."""
     params, numbers = default_params(controller), {}
     for change in changes:
         key, _, value = change.partition("=")

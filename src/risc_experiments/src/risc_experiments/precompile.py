@@ -1,4 +1,4 @@
-"""Have numba compile and keep all that runs in every frame of a flight (risc_lab.compiled): part of `./maap build`."""
+"""Compile and cache with numba what runs in every frame of a flight (risc_lab.compiled): part of `./maap build`."""
 
 import os
 import sys
@@ -19,10 +19,10 @@ from risc_simulator.video.polygons import clip_polygons, coverage
 
 def main():
     """Entry point."""
-    from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
+    from risc_control.ros.conversions import ControlsMessage, StatesReader  # of the nodes: need ROS
     from risc_estimation.ros.conversions import EstimateMessages
 
-    os.environ.pop(VARIABLE, None)  # members from elsewhere are compiled when they fly: what they lack fails no build
+    os.environ.pop(VARIABLE, None)  # external members are compiled when they fly: their errors must not fail a build
     kinds = VEHICLE_TYPES.names()
     for kind in kinds:
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5, types=(kind, kind)))

@@ -1,4 +1,4 @@
-"""What the programs of a flight take of processors and memory, and what others leave them."""
+"""Processor time and memory that the programs of a flight use, and the load of all other programs."""
 
 import contextlib
 import os
@@ -20,10 +20,10 @@ class _Look(NamedTuple):
 
 
 class ProcessorUse:
-    """Processor time of every program from the first to the last call of `look`, and its memory at the second."""
+    """Processor time of every program from the first to the last call of `look`, and its memory at the second call."""
 
     def __init__(self, identity):
-        """identity: of the flight's processes, as in `processes.Launch`."""
+        """identity: of the flight's processes, as in `launching.Launch`."""
         self._identity = identity
         self._first = self._last = None
         self._memory_mb = Counter()
@@ -48,9 +48,9 @@ class ProcessorUse:
     def figures(self):
         """{"cpu_cores": {program of the flight: mean}, "memory_mb": {program of the flight: MB}, "computer": {...}}.
 
-        {} when too little time was looked at. memory_mb: what programs share (code, numba) is shared out among them.
-        cores: that the flight may use; idle, steal (what the host of a virtual machine gave to others): of their time.
-        others: mean of all programs that are not of the flight; busiest_other, busiest_other_cores: the largest.
+        {} when the observed time is too short. memory_mb: shared memory (code, numba) is divided among the programs.
+        cores: that the flight may use; idle, steal (given to others by the host of a virtual machine): fractions of
+        their time. others: mean of all programs outside the flight; busiest_other, busiest_other_cores: the largest.
         """
         first, last = self._first, self._last
         if first is None or last.time_s - first.time_s < _LEAST_S:
@@ -91,7 +91,7 @@ def _machine_times():
 
 
 def program_name(process):
-    """Of a node its name with its namespace, else what the program is called. Raises psutil.Error when it has ended."""
+    """Name of a node with its namespace, else of the program. Raises psutil.Error when the process has ended."""
     words = process.cmdline()
     node = argument_of(words, "__name")
     if not node:

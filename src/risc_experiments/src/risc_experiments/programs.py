@@ -1,7 +1,7 @@
-"""The programs of a flight that runs, by what they do in it; to be killed, stopped and continued.
+"""Finds the programs of a running flight by their role, and kills, stops and continues them.
 
-They are found among the processes, not by the ROS master: it may be the one that is dead, and a program that hangs
-answers nobody. One that was started again is another process: look it up again.
+They are found among the processes, not by the ROS master: it may itself be dead, and a program that hangs does not
+answer. A program that was started again is another process: look it up again.
 """
 
 import contextlib
@@ -27,13 +27,13 @@ _ROLES = {  # beside those of the drivers
 
 
 def roles():
-    """{what it does: the nodes that may do it, by their names without a namespace; the first that runs counts}."""
+    """{role: names, without a namespace, of the nodes that may have it; the first that runs counts}."""
     return {**_ROLES, **driver_nodes()}
 
 
 @dataclass
 class Program:
-    """One process of a flight. What is done to one that has ended is done to nobody."""
+    """One process of a flight. Signals to one that has ended have no effect."""
 
     role: str  # one of roles(), or the node's name
     node: str  # with its namespace, e.g. /risc1/apm/roscopter; of the master /rosmaster
@@ -46,11 +46,11 @@ class Program:
         self._signal(signal.SIGKILL)
 
     def stop(self):
-        """Let it hang (SIGSTOP)."""
+        """Make it hang (SIGSTOP)."""
         self._signal(signal.SIGSTOP)
 
     def resume(self):
-        """Let it go on (SIGCONT)."""
+        """Let it continue (SIGCONT)."""
         self._signal(signal.SIGCONT)
 
     def _signal(self, number):
@@ -79,16 +79,16 @@ def programs(identity):
 
 
 def successor(identity, program):
-    """The Program that was started in the place of one that has ended, as the same node; None: none was yet."""
+    """The Program that replaces one that has ended, as the same node; None when none was started yet."""
     same = (other for other in programs(identity) if other.node == program.node)
     return next((other for other in same if other.process != program.process), None)
 
 
 def find(identity, name, vehicle=""):
-    """The Program that does this in a flight. Raises LookupError that lists those that there are.
+    """Find a Program of a flight. Raises LookupError, which lists the programs that run.
 
-    name: one of roles(), or a node's name.  vehicle: namespace; of several that do the same that vehicle's, or the one
-    that is for all.
+    name: one of roles(), or a node's name.  vehicle: namespace; of several programs that vehicle's is chosen, or else
+    the one that is for all.
     """
     running = programs(identity)
     fitting = [program for program in running if name in (program.role, program.node, program.node.rpartition("/")[2])]

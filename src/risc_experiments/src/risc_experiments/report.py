@@ -17,7 +17,7 @@ from risc_simulator.models.mocap_cameras import CameraParams
 
 WITH_CAMERAS = ("coop",)  # experiments that have to measure bearings
 LATE_LIMIT_MS = 10.0  # two frames at 200 Hz: a lab that is later than this (p99) had too slow a computer
-VIDEO_LATE_LIMIT_MS = 5.0  # of the pictures that came soonest: stamps rest on them, and a nose turns 0.1 deg meanwhile
+VIDEO_LATE_LIMIT_MS = 5.0  # of the fastest pictures: stamps are based on them, and a vehicle may turn by 0.1 deg
 
 
 def make_report(args, folder, failure, progress, interrupted, tried=()):
@@ -124,6 +124,6 @@ def simulation_model(args, folder):
 
 
 def lab_statistics(folder):
-    """What the virtual lab counted; empty when it wrote nothing."""
+    """Statistics of the virtual lab; empty when it wrote none."""
     path = folder / "virtual_lab.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}

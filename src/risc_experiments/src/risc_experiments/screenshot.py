@@ -61,10 +61,10 @@ def _size(text):
 def flown(args, rest, progress, argv):
     """Fly the experiment. Returns the folder with its bag. Raises FlightError when there is none.
 
-    argv: the whole command line, to begin again with on a computer that is too slow.
+    argv: the whole command line, to start over with on a computer that is too slow.
     """
     fleet = ["--fleet", str(args.fleet)] if args.fleet else []
-    flight = fly.arguments([args.what, "--duration", "%g" % FLIGHT_S, *fleet, *rest])  # the caller has the last word
+    flight = fly.arguments([args.what, "--duration", "%g" % FLIGHT_S, *fleet, *rest])  # the caller's options override
     folder = fly.prepare_folder(flight)
     progress.say("flying %s first, results in %s" % (args.what, folder))
     interrupted = threading.Event()
@@ -97,11 +97,11 @@ def main(argv=None):
             )
         experiment = args.what if args.what in fly.EXPERIMENTS else ""
         if args.views:
-            views_from(args.views, args.size)  # a mistake in their names is told before anything flies
+            views_from(args.views, args.size)  # reports wrong names before anything flies
         bag_path = flown(args, rest, progress, argv) / "flight.bag" if experiment else pathlib.Path(args.what)
         fleet = bag_path.parent / "fleet.yaml"
         fleet = args.fleet if args.fleet and not experiment else fleet if fleet.exists() else None
-        arena = load_fleet(fleet).arena if fleet else None  # a mistake in it is one line here, and a dead node there
+        arena = load_fleet(fleet).arena if fleet else None  # an error in it is one line here, a dead node later
         with Bag(bag_path) as bag:
             at_s = moment_of(bag) if args.at is None else args.at
             names = args.views or standard_views(bag, fleet)

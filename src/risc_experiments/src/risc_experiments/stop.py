@@ -1,4 +1,4 @@
-"""`./maap stop`: land and end every flight on this computer, also one whose `./maap fly` was killed."""
+"""`./maap stop`: land and end every flight on this computer, even if its `./maap fly` was killed."""
 
 import argparse
 import signal
@@ -10,14 +10,14 @@ import psutil
 from risc_lab.ros.launching import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
 
 FLIGHTS = {"risc_experiments.fly": "./maap fly", "risc_experiments.soak": "./maap soak"}  # programs that fly
-VEHICLE_NODE = "controller.py __name:=joystick_controller"  # what flies a vehicle: interrupted, it lands it
+VEHICLE_NODE = "controller.py __name:=joystick_controller"  # flies a vehicle; lands it when interrupted
 FLIGHT_S = 90.0  # for `./maap fly` to land all, end the nodes and write the report
 LAUNCH_S = 60.0  # for roslaunch and its nodes
 LANDING_S = 6.0  # of a vehicle that was told to land
 
 
 def end_flight(identity):
-    """Land and end one flight, by the highest of its programs that is left. Returns how, in a sentence."""
+    """Land and end one flight by interrupting the topmost program that is left. Returns a sentence that says how."""
     left = marked_processes(identity)
     if not left:
         return "it has ended meanwhile"
@@ -29,7 +29,7 @@ def end_flight(identity):
             send_signal(pid, signal.SIGINT)
         how = "roslaunch had died: the vehicle nodes that were left (%d) were interrupted, and land" % len(pilots)
         wait_until(lambda: not any(map(_command, pilots)), LAUNCH_S)
-        if pilots:  # all else is needed until they stand
+        if pilots:  # the other nodes are needed until the vehicles stand
             time.sleep(LANDING_S)
         for pid in marked_processes(identity):
             send_signal(pid, signal.SIGINT)

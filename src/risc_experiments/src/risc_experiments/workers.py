@@ -1,4 +1,4 @@
-"""One function on many items, several at the same time, each in a process: the results in order, as from a loop.
+"""Runs one function on many items in parallel processes, with the results in order, as from a loop.
 
 Processes are forked by a server that has one thread and has imported what they need. A fork of the caller would be
 quicker by a second, but may inherit locks that threads of the caller hold (OpenBLAS, rospy, tests) and keeps the pipes
@@ -15,17 +15,17 @@ import traceback
 from multiprocessing import resource_tracker
 
 _PATIENCE_S = 10.0
-AHEAD = 4  # results for each worker that wait for one before them: thousands must not be held
+AHEAD = 4  # results per worker that may wait for an earlier one: limits the memory
 
 
 def in_order(function, items, workers=None, on_progress=None):
-    """Yields function(item) for each item. function: of a module; it, items and results are pickled.
+    """Yields function(item) for each item. function: defined in a module; it, items and results are pickled.
 
     Workers import the caller's main program: one that is a script calls this below `if __name__ == "__main__":`.
-    workers: processes; None: as many as this process may use cores; with one it all happens here.  on_progress: called
-    with the number of items that are over, as they end.
+    workers: processes; None: as many as this process may use cores; with one, all is done in this process.
+    on_progress: called with the number of finished items, whenever one finishes.
     Raises what the function raises, when it is its item's turn; ValueError for no workers; ChildProcessError when a
-    worker dies. However it ends (closed, Ctrl-C, an error), the workers are gone then.
+    worker dies. However it ends (closed, Ctrl-C, an error), no worker is left.
     """
     items = list(items)
     if workers is None:
@@ -86,17 +86,17 @@ class _Worker:
         self.index = self._item = None
 
     def fileno(self):
-        """What becomes readable when it has an outcome, or has died."""
+        """File descriptor that becomes readable when there is an outcome, or the worker has died."""
         return self._connection.fileno()
 
     def give(self, index, item):
-        """Let it begin an item."""
+        """Start an item."""
         self.index, self._item = index, item
         with contextlib.suppress(BrokenPipeError):  # it is dead: outcome() says so
             self._connection.send(item)
 
     def end(self):
-        """Wait until it has ended. Terminated, it gives back what libraries hold, as semaphores; killed, it cannot."""
+        """Wait until it has ended. If terminated, it releases resources such as semaphores; if killed, it cannot."""
         self.process.join(_PATIENCE_S)
         self.process.kill()
         self.process.join()
@@ -114,11 +114,11 @@ class _Worker:
 
 
 def _work(function, connection):
-    """What a worker does until its caller ends it, or has gone."""
+    """Main loop of a worker, until its caller ends it or dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal; the caller ends the workers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # in the middle of an item, too
-    # Packages of the workspace put their sources first when they are imported, as in the caller, whose path this is.
-    # Only the built ones, which the environment names, have messages.
+    # sys.path is that of the caller, where imported packages of the workspace have put their sources first. Only the
+    # built packages, which PYTHONPATH names, have the messages.
     sys.path[:] = dict.fromkeys([*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *sys.path])
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
@@ -133,8 +133,8 @@ def _work(function, connection):
 
 @contextlib.contextmanager
 def _interrupt_later():
-    """Ctrl-C waits until the end of the block; processes that begin in it never see one."""
-    resource_tracker.ensure_running()  # its start, which is part of that of the first process, would end the waiting
+    """Defer Ctrl-C until the end of the block; processes that start in it never see one."""
+    resource_tracker.ensure_running()  # started by the first process, it would unblock SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -1,1 +1,1 @@
-"""`./maap machines`: are the computers of a launch file ready, make them ready, bring the workspace to them."""
+"""`./maap machines`: check the computers of a launch file, set them up, and copy the workspace to them."""

@@ -20,7 +20,7 @@ _DOCTOR_S = 45.0
 
 
 def begin(experiment, root, _yes):
-    """([Finding about this computer], function of a computer that returns those about it); all are asked at once.
+    """([Finding about this computer], function of a computer that returns its findings); all are asked in parallel.
 
     experiment: experiment.Experiment; root: folder of the workspace here.
     """
@@ -60,7 +60,7 @@ def _is_ours(name, here):
 
 
 def check_computer(computer, description, here):
-    """Yields findings about one computer, from the network up to its vehicle. Raises FoundError: the last one.
+    """Yields findings about one computer, from the network up to its vehicle. Raises FoundError, which is the last one.
 
     description: of the workspace here; here: our address.
     """
@@ -88,9 +88,9 @@ def check_computer(computer, description, here):
 
 
 def own_address(experiment):
-    """The address of this computer for the others: that of the file, else the one that leads to the first of them.
+    """This computer's address for the others: that of the launch file, else the one with a route to the first of them.
 
-    None when nothing leads there.
+    None when there is no route.
     """
     for computer in experiment.computers:
         if computer.local:
@@ -114,7 +114,7 @@ def launch_line(experiment):
 
 
 def _env_loader(session):
-    """The Finding that it works. Raises FoundError when it does not: nothing else could run there."""
+    """The Finding that the env-loader works. Raises FoundError when it does not: nothing else could run there."""
     loader = session.computer.loader_file
     begin_s = time.monotonic()
     answer = session.loaded(["true"], _LOADER_S)
@@ -161,7 +161,7 @@ def _doctor(computer, loaded):
         checks += ["subnets", "vehicles"]
         options += ["--vehicle", *computer.vehicles]
     command = ["python", "-m", "risc_doctor", "--json", "--only", ",".join(dict.fromkeys(checks)), *options]
-    if computer.local and computer.fleet:  # another computer need not have it: what is asked there is said in full
+    if computer.local and computer.fleet:  # another computer may not have it: options say all
         command.insert(3, computer.fleet)
     answer = loaded(command, _DOCTOR_S)
     with contextlib.suppress(ValueError):

@@ -13,7 +13,7 @@ _TELLER = "timeout -k 1 10 python3 -uc 'import sys, time; [print(repr(time.time(
 
 
 def measure(session):
-    """(offset [s], its uncertainty [s]) of the far clock, + = ahead of ours: half of the shortest of many round trips.
+    """(offset [s], + = ahead of ours, uncertainty [s]: half of the shortest of many round trips) of the far clock.
 
     Raises OSError or ValueError when the far side does not answer, FoundError when the connection is lost.
     """
@@ -51,7 +51,7 @@ def check(session):
 
 
 def combine(tracking, measured, server):
-    """The Finding from what chrony says there and what was measured: (offset [s], uncertainty [s]). None: nothing.
+    """The Finding from chrony's ClockState there, and the measured (offset [s], uncertainty [s]); None: not known.
 
     server: our address.  When they agree, the more certain one counts (chrony's bound contains the way from our own
     clock to its server); else the measurement.

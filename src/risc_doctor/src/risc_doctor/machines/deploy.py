@@ -1,4 +1,4 @@
-"""`./maap machines deploy`: the workspace, as it is built here, to the same folder of every other computer."""
+"""`./maap machines deploy`: copy the workspace, as it is built here, to the same folder of every other computer."""
 
 import contextlib
 import dataclasses
@@ -16,24 +16,24 @@ from risc_doctor.machines import ssh, workspace_digest
 from risc_doctor.machines.experiment import ExperimentError
 
 _COMMAND_S = 20.0
-_NO_ANSWER_S = 20  # of the network, then rsync gives up; what arrived is kept for the next time
+_NO_ANSWER_S = 20  # without an answer, then rsync gives up; what arrived is kept for the next time
 _BACKUPS = ".deploy_backup"
-# What runs in every frame, compiled here: of use to a computer with the same processor, another one compiles it again.
+# Code for every frame, compiled here: a computer with the same processor can use it, another one compiles it again.
 _COMPILED = "__pycache__/", "__pycache__/*.nbi", "__pycache__/*.nbc"
-# First match wins, after those above. Not sent, and never removed there: what belongs to one computer.
+# Not sent, and never removed there: what belongs to one computer. The first match wins; those above come first.
 _NOT_SENT = (
     "/.git", "/build", "/build_tools", "/devel_tools", "/install_tools", "/.catkin_tools", "/.catkin_workspace",
     "/logs", "/flights", "/fuzz_findings", "/.maap.lock", "/%s" % workspace_digest.DEPLOYED, "/%s" % _BACKUPS,
     ".rsync-partial", "__pycache__/*", "*.pyc", "*~", ".pytest_cache", ".ruff_cache", ".hypothesis",
 )  # fmt: skip
-# A file that is gone here goes there, too (into the backup); everywhere else nothing goes.
+# Here, a file that this computer no longer has is removed there, too (into the backup); elsewhere nothing is removed.
 _MIRRORED = "/src", "/launch", "/devel", "/install", "/.venv"
 # A process of this workspace that roslaunch started; [_] so that the pattern does not find itself
 _RUNNING = "pgrep -f -a -- %s"
 
 
 def begin(_experiment, root, _yes):
-    """As `check.begin`, to bring the workspace to every computer, one after the other."""
+    """Like `check.begin`; copies the workspace to every computer, one after the other."""
     description = workspace_digest.describe(root)
     if not description.built:
         raise ExperimentError("%s is not built: ./maap build" % root)
@@ -42,7 +42,7 @@ def begin(_experiment, root, _yes):
 
 def deploy(computer, root, description):
     """Yields findings about one computer, after the workspace was sent there. Raises FoundError."""
-    computer = dataclasses.replace(computer, password=None)  # rsync has none to give
+    computer = dataclasses.replace(computer, password=None)  # rsync cannot give one
     if computer.workspace != str(root):
         raise FoundError("folder", "elsewhere", here=root, there=computer.workspace)
     ssh.reach(computer)
@@ -54,7 +54,7 @@ def deploy(computer, root, description):
 
 
 def _prepare(session, root):
-    """A folder to write into, rsync, a processor like ours, and nothing of ours that runs. Raises FoundError."""
+    """Require a writable folder, rsync, a processor like ours, and that no node of ours runs. Raises FoundError."""
     folder = shlex.quote(str(root))
     if session.limited("mkdir -p %s && test -w %s" % (folder, folder), _COMMAND_S).code != 0:
         user = session.computer.user or "$USER"
@@ -124,7 +124,7 @@ def _packages(session, root):
 
 
 def _verify(session, description):
-    """That what arrived runs there and is what was sent."""
+    """The Finding whether the copy runs there and is what was sent."""
     computer = session.computer
     answer = session.loaded(["true"], _COMMAND_S)
     if answer.code != 0:

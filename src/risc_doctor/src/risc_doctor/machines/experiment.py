@@ -13,7 +13,7 @@ from roslaunch.core import RLException, is_machine_local
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 
 _VIRTUAL_LAB = (
-    "virtual_lab"  # node types that begin so bring vehicles and Cortex with them: they are there only when it runs
+    "virtual_lab"  # node types that begin like this bring vehicles and Cortex, which exist only while it runs
 )
 _RECORDERS = ("data_extraction", "recorder"), ("rosbag", "record")
 _BAG_OPTIONS = "-O", "--output-name", "-o", "--output-prefix"  # of rosbag record
@@ -35,7 +35,7 @@ class Computer:
     env_loader: str = None
     timeout_s: float = 10.0  # that roslaunch waits for it
     local: bool = False  # this computer: roslaunch needs no ssh for it
-    unresolved: str = ""  # why the address is none, "" when it is one
+    unresolved: str = ""  # the address, when it cannot be resolved; else ""
     nodes: int = 0  # how many run there
     joysticks: tuple = ()  # devices of its joy_nodes
     vehicles: tuple = ()  # addresses of the vehicles that its drivers fly
@@ -45,7 +45,7 @@ class Computer:
 
     @property
     def login(self):
-        """As one types it for ssh."""
+        """Login as typed for ssh."""
         return self.address if self.user is None else "%s@%s" % (self.user, self.address)
 
     @property
@@ -55,7 +55,7 @@ class Computer:
 
     @property
     def loader_file(self):
-        """The file that the env-loader is; before it there may be "env VARIABLE=VALUE"."""
+        """The env-loader's file, without an "env VARIABLE=VALUE" before it."""
         return shlex.split(self.env_loader)[-1]
 
     @property
@@ -148,7 +148,7 @@ def _computer(machine, config, fleet):
 
 
 def _different(values):
-    """Texts of what is not empty, each once."""
+    """Non-empty values as texts, without duplicates."""
     return tuple(dict.fromkeys(str(value) for value in values if value))
 
 

@@ -1,6 +1,6 @@
 """sshd's settings on another computer that end a dead connection soon: then coop.sh ends the nodes of a lost launch.
 
-Without them the nodes run on for good when the network goes away, and a second launch starts a second set beside them.
+Without them the nodes run on forever when the network goes away, and a second launch starts a second set beside them.
 """
 
 from risc_doctor.findings import finding
@@ -11,8 +11,8 @@ _SOON_S = 6
 _LIMIT_S = 15.0
 _NOT_ROOT = 77
 _ILL = "sshd there does not notice dead connections: the nodes of a lost launch may run on"
-# Beginning of each script: $sudo. The sshd that listens is an ancestor of this very login, so it is found without
-# systemd, too. $sshd: its command.
+# Start of each script. It sets $sudo; $listener, the sshd that listens, which is an ancestor of this login and so is
+# found without systemd, too; and $sshd, its command.
 _AS_ROOT = """
 sudo=; [ "$(id -u)" -eq 0 ] || { sudo -n true 2>/dev/null && sudo=sudo; } || exit %d;
 sshd=/usr/sbin/sshd;
@@ -30,7 +30,7 @@ while [ "$pid" -gt 1 ]; do
   esac;
 done;
 """ % _NOT_ROOT  # fmt: skip
-# What sshd makes of all its files for a login like this. Whether the listener has read them cannot be asked.
+# The settings in sshd's files for a login like this. Whether the listener has read them cannot be found out.
 _READ = """
 set -- $SSH_CONNECTION;
 $sudo $sshd -T -C "user=$(id -un),host=$1,addr=$1,laddr=$3,lport=$4"
@@ -40,8 +40,8 @@ set -e;
 [ -e %s ] || undo="$sudo rm %s";
 printf '%s' | $sudo tee %s >/dev/null;
 """
-# Let the listener read its files (the HUP is what `systemctl reload ssh` sends). Sessions that are open stay open. As
-# that does, ask sshd first: with a mistake in its settings, the listener would end: no more logins.
+# Let the listener read its files (by HUP, like `systemctl reload ssh`). Open sessions stay open. Like that command,
+# have sshd test them first: with an error in its settings the listener would end, and nobody could log in any more.
 _RELOAD = """
 $sudo $sshd -t || { ${undo:-:}; exit 1; };
 [ -z "$listener" ] || $sudo kill -HUP "$listener"
@@ -55,10 +55,10 @@ def check(session):
 
 
 def write(session):
-    """Write the settings when they are missing, and have them read, where the login may. Returns the Finding."""
+    """Write the settings when they are missing, and have sshd read them, if the login may. Returns the Finding."""
     good, state = _look(session)
     content = TEXT.replace("\n", "\\n")
-    # good by the files: the setup that wrote them may have been cut off before it told sshd
+    # good by the files: the setup that wrote them may have been interrupted before it told sshd
     answer = _run(session, _RELOAD if good else _WRITE % (FILE, FILE, content, FILE) + _RELOAD)
     if good and answer.code in (0, _NOT_ROOT):
         return finding("keep-alive", "good", state=state)
@@ -71,7 +71,7 @@ def write(session):
 
 
 def _look(session):
-    """(whether it is well, how it is)."""
+    """(whether the settings are good, text about them)."""
     answer = _run(session, _READ)
     if answer.code == _NOT_ROOT:
         answer = session.limited("cat " + FILE, _LIMIT_S)
@@ -89,5 +89,5 @@ def _look(session):
 
 
 def _run(session, script):
-    """Run a script as root, with what it needs to know of sshd. Where the login is not root: an Answer _NOT_ROOT."""
+    """Run a script as root, after _AS_ROOT. The code of the Answer is _NOT_ROOT where the login cannot be root."""
     return session.limited(" ".join((_AS_ROOT + script).split("\n")), _LIMIT_S)  # csh quotes no line ends

@@ -1,4 +1,4 @@
-"""The host keys that roslaunch's paramiko and ssh believe: looked up, compared, and written so that nothing is lost."""
+"""The host keys that roslaunch's paramiko and ssh trust: looked up, compared, and added so that nothing is lost."""
 
 import base64
 import contextlib
@@ -9,7 +9,7 @@ import subprocess
 
 import paramiko
 
-FILE = "~/.ssh/known_hosts"  # that roslaunch reads (what ~ is, $HOME says), and that new entries go to
+FILE = "~/.ssh/known_hosts"  # which roslaunch reads (~ is $HOME), and where new entries go
 _SCAN_S = 5
 _TYPES = "ed25519", "ecdsa", "rsa"
 
@@ -19,7 +19,7 @@ class ChangedKeyError(Exception):
 
 
 def known_keys(strict=False):
-    """The host keys that roslaunch believes, as paramiko.HostKeys.
+    """The host keys that roslaunch trusts, as paramiko.HostKeys.
 
     strict: raises ValueError or InvalidHostKey where a file has a line that is not an entry; its rest is not read.
     """
@@ -31,7 +31,7 @@ def known_keys(strict=False):
 
 
 def names_of(keys):
-    """Names, as far as they are legible, that known_hosts has for a server with one of these keys."""
+    """Names, except hashed ones, that known_hosts has for a server with one of these keys."""
     entries = known_keys().items()
     return [name for name, known in entries if name[:1] != "|" and any(key in known.values() for key in keys)]
 
@@ -48,7 +48,7 @@ def shown_keys(address, port):
 
 
 def host_name(address, port):
-    """How known_hosts calls a server."""
+    """Name of a server in known_hosts."""
     return address if port == 22 else "[%s]:%d" % (address, port)
 
 
@@ -59,7 +59,7 @@ def fingerprint(key):
 
 
 def missing_lines(name, address, port, keys):
-    """Lines to add so that roslaunch and ssh know a server: [(line, key)], nothing when they do already.
+    """Lines to add so that roslaunch and ssh know a server: [(line, key)], [] when they do already.
 
     name: that of the machine, which becomes an alias unless known_hosts has it. keys: those that the server shows.
     Raises ChangedKeyError when known_hosts has another key of the same type, and as `known_keys` when that cannot be
@@ -85,7 +85,7 @@ def missing_lines(name, address, port, keys):
 
 
 def add(lines):
-    """Append lines, in one piece. Raises OSError."""
+    """Append lines, in a single write. Raises OSError."""
     path = pathlib.Path(FILE).expanduser()
     path.parent.mkdir(mode=0o700, exist_ok=True)
     with open(path, "a+b", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:

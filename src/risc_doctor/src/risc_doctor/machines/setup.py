@@ -17,14 +17,14 @@ from risc_doctor.machines import keep_alive, known_hosts, ssh
 
 
 def begin(experiment, _root, yes):
-    """As `check.begin`, to set up every computer, one after the other. yes: write host keys without asking."""
+    """Like `check.begin`; sets up every computer, one after the other. yes: write host keys without asking."""
     computers = [computer for computer in experiment.computers if computer.needs_login]
     return [_own_key(computers)], lambda computer: set_up(computer, yes)
 
 
 def set_up(computer, yes):
     """Yields findings about one computer, after what could be changed has been changed. Raises FoundError."""
-    computer = dataclasses.replace(computer, password=None)  # it is about logins without one
+    computer = dataclasses.replace(computer, password=None)  # the login must work without one
     ssh.reach(computer)
     yield _host_key(computer, yes)
     with contextlib.closing(_log_in(computer)) as session:
@@ -79,7 +79,7 @@ def _agreed(computer):
 
 
 def _log_in(computer):
-    """A Session; brings our key there when that is all that is missing and a person is there to type the password."""
+    """A Session. If only our key is missing there, and a person can type the password, copies the key first."""
     try:
         return ssh.connect(computer)
     except FoundError as problem:

@@ -19,10 +19,10 @@ from risc_doctor.machines.known_hosts import fingerprint, host_name, known_keys,
 KEY_FILES = "id_ed25519", "id_ecdsa", "id_rsa"  # in ~/.ssh: those that paramiko tries by itself
 MASTER_PORT = 11311  # of a launch from here
 CONNECT_S = 5.0  # for a computer in the same laboratory to answer
-_SENTENCE = 300  # characters of what a program has printed that a sentence takes
-_MARGIN_S = 3.0  # that a far command gets to be ended by its own limit
+_SENTENCE = 300  # most characters of a program's output in a sentence
+_MARGIN_S = 3.0  # beyond the limit of a far command, for that limit to end it
 
-logging.getLogger("paramiko").addHandler(logging.NullHandler())  # it would print tracebacks of what we report
+logging.getLogger("paramiko").addHandler(logging.NullHandler())  # else it prints tracebacks of errors that we report
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Answer:
         return lines[-1].strip()[:_SENTENCE] if lines else "exit code %d, no output" % self.code
 
     def told(self, kind):
-        """What a program of ours printed last, JSON of a type. Raises ValueError."""
+        """Decode the last line that a program of ours printed, JSON of a type. Raises ValueError."""
         return msgspec.json.decode((self.out.splitlines() or [""])[-1], type=kind)
 
 
@@ -65,7 +65,7 @@ def unreachable(error, address, port):
 def resolve(computer):
     """(address, {option: value}) of ~/.ssh/config, as roslaunch reads it."""
     options = {}
-    with contextlib.suppress(OSError, paramiko.SSHException):  # no file, or none that roslaunch would heed
+    with contextlib.suppress(OSError, paramiko.SSHException):  # no file, or one that roslaunch would ignore
         options = paramiko.SSHConfig.from_path(os.path.expanduser("~/.ssh/config")).lookup(computer.address)
     return options.get("hostname", computer.address), options
 
@@ -125,13 +125,13 @@ def _no_ssh(address, port, reason):
 
 
 def copy_id_line(computer):
-    """The command that brings our key to a computer."""
+    """The command that copies our key to a computer."""
     port = "" if computer.port == 22 else "-p %d " % computer.port
     return "ssh-copy-id %s%s" % (port, computer.login)
 
 
 class Session:
-    """An open login. Every command has a limit, and is ended there, too, when it takes longer.
+    """An open login. Every command has a time limit, which ends it on the far side, too.
 
     All of them raise FoundError when the connection is lost.
     """
@@ -159,7 +159,7 @@ class Session:
         return " ".join([*words, shlex.join(arguments)])
 
     def limited(self, script, limit_s):
-        """Run a shell script that its own limit ends there. Returns an Answer."""
+        """Run a shell script, which `timeout` ends there. Returns an Answer."""
         return self.shell("timeout -k 1 %g sh -c %s" % (limit_s, shlex.quote(script)), limit_s)
 
     def shell(self, line, limit_s):

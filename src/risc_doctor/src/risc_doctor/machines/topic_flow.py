@@ -46,7 +46,7 @@ def outcome(line):
 
 
 def judge(computer, uri, there, trouble):
-    """Findings. uri: of ours, as the far one was told; there: of `outcome`; trouble: with reaching the far one."""
+    """Findings. uri: ours, as the far end was told; there: from `outcome`; trouble: in reaching the far end, or ""."""
     found, values = Findings("topics"), {"machine": computer.name, "address": computer.address}
     if there["master_uri"] != uri:
         return found.say("other_uri", uri=there["master_uri"])
@@ -68,8 +68,8 @@ def _addresses(name):
 
 
 def trouble_with(uri):
-    """(why no program answers at http://HOST:PORT/ as seen from this computer, whether nobody knows HOST's name); ""
-    when one does.
+    """(why no program answers at http://HOST:PORT/ as seen from this computer, "" when one does; whether the name HOST
+    cannot be resolved).
     """
     parts = urlsplit(uri)
     try:
@@ -84,7 +84,7 @@ def trouble_with(uri):
 
 
 def main(limit_s):
-    """Stand for a node."""
+    """Act like a node of this computer."""
     with socket.create_server(("", 0)) as server:
         master_uri = os.environ["ROS_MASTER_URI"]
         own_uri = "http://%s:%d" % (get_host_name(), server.getsockname()[1])  # as a node tells it to its master

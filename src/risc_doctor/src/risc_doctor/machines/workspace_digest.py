@@ -1,7 +1,7 @@
-"""Is the workspace on two computers the same? What it is made of, file by file, and what it was made from.
+"""Is the workspace on two computers the same? Compares descriptions: a hash of each file, and the revision.
 
 `python -m risc_doctor.machines.workspace_digest FOLDER` prints that of a workspace as JSON. When there is none in
-FOLDER (a link from outside the workspace led to coop.sh), it is the one that is sourced.
+FOLDER (a link from outside the workspace led to coop.sh), it describes the one that is sourced.
 """
 
 import fnmatch
@@ -20,7 +20,7 @@ from risc_lab.revision import revision
 DEPLOYED = ".deployed"  # what `machines deploy` leaves there: JSON with the revision
 _PARTS = "src", "launch", "devel", "install", "maap", "requirements.txt", ".venv/.requirements"
 _BUILT = "devel/", "install/"
-# made by running or editing it, or nothing that runs
+# made by running or editing the workspace, or not part of what runs
 _NOT_COMPARED = (
     "__pycache__", "*.pyc", ".pytest_cache", ".ruff_cache", ".hypothesis", "cmake.lock", "*~", ".*.sw?", "*.md",
 )  # fmt: skip
@@ -31,7 +31,7 @@ _NAMED = 3  # how many differing files a sentence names
 
 @dataclass(frozen=True)
 class Workspace:
-    """What a workspace is made of."""
+    """Description of a workspace."""
 
     folder: str
     revision: str | None  # None: not known
@@ -40,7 +40,7 @@ class Workspace:
 
     @property
     def content(self):
-        """One text for all files."""
+        """One hash for all files."""
         lines = "\n".join("%s %s" % item for item in sorted(self.files.items()))
         return hashlib.sha256(lines.encode()).hexdigest()[:12]
 

@@ -1,4 +1,4 @@
-"""Lets faults happen to the programs of a flight, and tells of them as the virtual lab tells of its own."""
+"""Injects faults into the programs of a flight, and reports them as the virtual lab reports its own."""
 
 import heapq
 import itertools
@@ -14,7 +14,7 @@ from risc_maap_msgs.msg import FaultRecord, Faults
 from risc_simulator.faults import REGISTRY
 
 TOPIC = "/program_faults"
-_AGAIN_S = 0.3  # how often a program is looked for that is to come (back)
+_AGAIN_S = 0.3  # how often to look for a program that has not started (again) yet
 
 
 class _Act:
@@ -27,14 +27,14 @@ class _Act:
         self.over = False
 
     def call(self, what):
-        """Call begin or end where the member has it."""
+        """Call begin or end of the member, if it has it."""
         function = getattr(self.member, what, None)
         if function is not None:
             function(self.program, rospy.get_time())
 
 
 class ProgramFaults:
-    """One thread carries them out. A killed program is back when its node runs again."""
+    """Carries out faults on programs, in one thread. A kill ends when the program's node runs again."""
 
     def __init__(self, identity):
         """identity: of the flight's `launching.Launch`."""
@@ -52,10 +52,10 @@ class ProgramFaults:
             find(self._identity, event.program, event.vehicle)
 
     def start(self, events):
-        """Let FaultEvents happen, counted from now."""
+        """Schedule FaultEvents, counted from now."""
         now_s, now = time.monotonic(), rospy.Time.now()
         with self._changed:
-            self._acts = [act for act in self._acts if not act.over]  # those of flights before are told no longer
+            self._acts = [act for act in self._acts if not act.over]  # earlier ones are not reported any more
             for event in events:
                 begins = now + rospy.Duration.from_sec(event.start_s)
                 safe = list(event.settings.safe)
@@ -66,7 +66,7 @@ class ProgramFaults:
             self._tell()
 
     def end_all(self):
-        """Whoever hangs goes on; what waits never begins. Returns when that is done."""
+        """Continue programs that hang, and cancel faults that have not begun. Returns when that is done."""
         with self._changed:
             self._due.clear()
             for act in self._acts:
@@ -82,7 +82,7 @@ class ProgramFaults:
 
     @property
     def killed(self):
-        """Process ids of those that were killed."""
+        """Process ids of the programs that were killed."""
         with self._changed:
             return frozenset(self._killed)
 
@@ -107,7 +107,7 @@ class ProgramFaults:
         except LookupError:  # it has just died of another fault, and may come back
             self._plan(time.monotonic() + _AGAIN_S, self._begin, act)
             return
-        now_s = time.monotonic()  # after the search, which may take long: a hang lasts for as long as it was asked for
+        now_s = time.monotonic()  # after the search, which may take long: a hang must last as long as asked for
         of_one = event.vehicle and act.program.node.startswith("/%s/" % event.vehicle)
         act.record.vehicle = event.vehicle if of_one else ""
         act.record.begins, act.record.active = rospy.Time.now(), True

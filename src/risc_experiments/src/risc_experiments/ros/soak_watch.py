@@ -1,4 +1,4 @@
-"""What a soak hears of its graph beside `watch.Watch`, and what it asks for: the hands of the person in the lab."""
+"""What a soak receives from its graph beyond `watch.Watch`, and its requests in place of a person in the lab."""
 
 import collections
 import threading
@@ -17,17 +17,17 @@ CALL_PATIENCE_S = 5.0
 
 
 class SoakWatch(Watch):
-    """Notes what happens; the main thread looks at it.
+    """Records what happens; the main thread reads it.
 
-    out: {namespace: why} of vehicles that take no part in the flight any more.  batteries_pct: {namespace: charge}.
-    safe: outcomes that faults of this flight allow that have begun; None: none has begun.
-    crashes, errors: of what was not looked at yet: Crash; (node, text).
+    out: {namespace: reason} of vehicles that are out of the flight.  batteries_pct: {namespace: charge}.
+    safe: outcomes that are allowed by the faults of this flight that have begun; None: none has begun.
+    crashes, errors: queues of what was not read yet: Crash; (node, text).
     """
 
     def __init__(self, namespaces):
         self.out, self.batteries_pct, self.safe, self._states = {}, {}, None, {}
         self.crashes, self.errors = collections.deque(), collections.deque(maxlen=1000)
-        self._over, self._newest = {}, {}  # by topic: id of the newest fault of flights before, of all
+        self._over, self._newest = {}, {}  # {topic: newest fault id}, of earlier flights and of all
         super().__init__()
         rospy.Subscriber("/virtual_lab/crash", Crash, self.crashes.append, queue_size=100, tcp_nodelay=True)
         for topic in FAULT_TOPICS:
@@ -55,28 +55,28 @@ class SoakWatch(Watch):
 
     @property
     def in_flight(self):
-        """Namespaces of vehicles that said last that they are in the air."""
+        """Namespaces of vehicles whose last report says that they are in the air."""
         return [name for name, state in self._states.items() if state not in ON_GROUND and state not in NO_EVIDENCE]
 
     def begin_flight(self):
-        """Faults that began up to now are of the flights before."""
+        """Begin a flight: faults that began up to now belong to earlier flights."""
         self._over, self.safe = dict(self._newest), None
 
     def fly_again(self):
-        """Ask the operator for another flight. Returns why not; ""."""
+        """Ask the operator for another flight. Returns "", or why that failed."""
         return _ask("/operator/fly_again", Trigger)
 
     def end_faults(self):
-        """End all faults. Returns why not; ""."""
+        """End all faults. Returns "", or why that failed."""
         return _ask("/virtual_lab/inject", InjectFault)
 
     def put_back(self, namespace):
-        """Pick a vehicle up and stand it at its start. Returns why not; ""."""
+        """Pick a vehicle up and stand it at its start. Returns "", or why that failed."""
         return _ask("/virtual_lab/put_back", PutBack, namespace)
 
 
 def _ask(service, kind, *arguments):
-    """Call a service that says success and message. Returns why it is not done; "". Never blocks for long."""
+    """Call a service that answers success and message. Returns "", or why it failed. Never blocks for long."""
     answers = []
 
     def call():

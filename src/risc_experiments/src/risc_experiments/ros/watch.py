@@ -1,4 +1,4 @@
-"""What the nodes of a flight say, heard by the program that started them."""
+"""Reports of a flight's nodes, received by the program that started them."""
 
 import collections
 import contextlib
@@ -21,11 +21,11 @@ HEARD_S = 1.0
 
 
 class Watch:
-    """What the flight's nodes say, as a ROS node of our own."""
+    """Receives the reports of the flight's nodes, as a ROS node of our own."""
 
     def __init__(self):
         self.phase = None  # OperatorPhase; None before the operator has said anything
-        self.text = ""  # more of the phase
+        self.text = ""  # details of the phase
         self.failure = None  # why the flight failed, "" when it did not; None while it goes on
         self.flight_failed = False  # as a whole, not only vehicles that are out
         self.on_course = False  # whether all have reached it
@@ -66,11 +66,11 @@ class Watch:
 
     @property
     def operator_heard(self):
-        """Whether the operator has been heard of for a while: by then the other nodes have started, too."""
+        """Whether the operator has been reporting for a while: by then the other nodes have started, too."""
         return self._operator_first_s is not None and time.monotonic() - self._operator_first_s > HEARD_S
 
     def operator_silent(self, limit_s):
-        """Whether the operator was heard of, and then no more for so long; he reports every second."""
+        """Whether the operator, which reports every second, has reported before but not within limit_s."""
         return self._operator_s is not None and time.monotonic() - self._operator_s > limit_s
 
     def parameters(self):
@@ -81,7 +81,7 @@ class Watch:
             raise OSError("the master does not give its parameters: %s" % error) from error
 
     def inject(self, events):
-        """Ask the virtual lab for faults.FaultEvents, counted from now; `fault_problem` tells how that went."""
+        """Ask the virtual lab for faults.FaultEvents, counted from now; `fault_problem` tells the result."""
         self._answer_due_s = time.monotonic() + CALL_PATIENCE_S
         threading.Thread(target=self._inject, args=(events,), daemon=True).start()  # the lab may hang
 
@@ -102,12 +102,12 @@ class Watch:
 
     @property
     def fault_problem(self):
-        """Why the faults that were asked for do not happen; "" as long as they may."""
+        """Why the faults that were asked for do not happen; "" while they still may."""
         late = time.monotonic() > self._answer_due_s
         return self._refusal or ("the virtual lab was asked for faults and does not answer" if late else "")
 
     def land(self):
-        """Ask the operator to land everything now. Returns whether he took the order; never blocks for long."""
+        """Ask the operator to land everything now. Returns whether it took the order; never blocks for long."""
         taken, deadline = threading.Event(), time.monotonic() + CALL_PATIENCE_S
 
         def call():

@@ -128,8 +128,8 @@ def _check(names, known, what, kind):
 
 
 def identity_of(plan):
-    """What a file of flights is of: flights of another identity are no part of the same scorecard. It may be flown for
-    more minutes.
+    """Identity of a file of flights: flights of another identity do not belong to the same scorecard. The minutes are
+    not part of it: they may be increased.
     """
     files = {cell.fault: repr(load_faults(cell.fault)) for cell in plan.cells if is_file(cell.fault)}
     identity = {
@@ -141,7 +141,7 @@ def identity_of(plan):
 
 
 def scorecard_of(plan, record, command, complete):
-    """The scorecard as a dict for JSON, of what was flown so far."""
+    """The scorecard of what was flown so far, as a dict for JSON."""
     rows = [row_of(cell, record.flown[cell]) for cell in plan.cells if cell in record.flown]
     failures, findings = [], []
     for cell in plan.cells:
@@ -206,7 +206,7 @@ def main(argv=None):
 
 
 def _script(args, progress):
-    """Path of the file of faults that a bag shows. Raises ValueError when it shows none."""
+    """Write a file of the faults that a bag shows. Returns its path. Raises ValueError when it shows none."""
     path = args.out / (args.bag.stem + "_faults.yaml")
     vehicles = vehicles_of(load_params(args.settings))
     events, outside = make_script(args.bag, path, vehicles, lambda part: progress.show("reading", bar(part)))
@@ -220,7 +220,7 @@ def _script(args, progress):
 
 
 def _fly(plan, record, workers, progress):
-    """Returns the exit code, 0 when all was flown."""
+    """Fly the plan. Returns the exit code, 0 when all was flown."""
     try:
         fly_plan(plan, record, workers, lambda part: progress.show("flying", bar(part)))
     except KeyboardInterrupt:

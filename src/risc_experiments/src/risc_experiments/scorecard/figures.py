@@ -1,7 +1,7 @@
 """The figures of a scorecard, each probability with its 95 % bounds, and how two scorecards differ. No input or output.
 
-Bounds are exact ones: of Poisson for what happens in a time, of Clopper and Pearson for shares. Of what has never
-happened there is only an upper one, by the rule of three: 3 in all that was flown.
+Bounds are exact: Poisson for rates, Clopper-Pearson for shares. A rate of events that never happened has only an upper
+bound, by the rule of three: 3 divided by the time flown.
 """
 
 import math
@@ -21,7 +21,7 @@ _DETECT = {"detect_p50_ms": 50, "detect_p99_ms": 99}
 
 
 def key_of(cell):
-    """What a row is of, by its KEY: of a file of faults the name."""
+    """The KEY of a row as a dict, with the name of a file of faults in place of its path."""
     return dict(zip(KEY, cell)) | {"fault": pathlib.PurePath(cell.fault).name}
 
 
@@ -85,21 +85,21 @@ def rate_bounds(count, minutes):
 
 
 def share_bounds(hits, of):
-    """[least, greatest] share; None of nothing."""
+    """[least, greatest] share; None when `of` is 0."""
     if of == 0:
         return None
     if hits in (0, of):
-        chance = (1.0 - CONFIDENCE) ** (1.0 / of)  # that makes none of so many unlikely; for many: 1 - 3 / of
+        chance = (1.0 - CONFIDENCE) ** (1.0 / of)  # of a trial: `of` in a row are 5 % likely; for many: 1 - 3 / of
         return [0.0, 1.0 - chance] if hits == 0 else [chance, 1.0]
     return list(map(float, stats.binomtest(hits, of).proportion_ci(CONFIDENCE, "exact")))
 
 
 def compare(rows, others):
-    """What differs between rows of two scorecards that are of the same: dicts with `here`, `there`, the probability p
-    that chance alone makes such a difference, and whether it is significant (5 % for all together, Holm).
+    """Differences between matching rows of two scorecards: dicts with `here`, `there`, the p-value p, and whether the
+    difference is significant (5 % for all together, Holm).
 
-    Errors: of flights with the same seed, Wilcoxon's signed ranks.  Delays: of all events, Mann and Whitney.  Shares:
-    Fisher.  What happens in minutes, as rates: conditional binomial.
+    Errors: Wilcoxon's signed-rank test, on flights with the same seed.  Delays: Mann-Whitney test, on all events.
+    Shares: Fisher's exact test.  Rates per minute: conditional binomial test.
     """
     by_key = {tuple(row[key] for key in KEY): row for row in others}
     found = []
@@ -119,7 +119,7 @@ def compare(rows, others):
 
 
 def _differences(row, other):
-    """Yields (figure, here, there, p) of two rows; p None: too little is known."""
+    """Yields (figure, here, there, p) of two rows; p None: too little data."""
     both = row, other
     seeds = sorted(row["flight_rmse_m"].keys() & other["flight_rmse_m"].keys())
     steps_m = [row["flight_rmse_m"][seed] - other["flight_rmse_m"][seed] for seed in seeds]

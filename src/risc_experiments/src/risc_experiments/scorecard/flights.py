@@ -1,4 +1,4 @@
-"""A flight of the scorecard: from what was flown to its figures, and many of them, each kept in a file at once."""
+"""Flights of the scorecard: the figures of each flight, saved in a file as soon as it is flown."""
 
 import contextlib
 import fcntl
@@ -31,7 +31,7 @@ FILE = "flights.jsonl"
 
 
 class Alarm(NamedTuple):
-    """Something said that all is not well with a vehicle."""
+    """A sign of trouble with a vehicle: a level above OK, or motion capture lost it."""
 
     time_s: float
     vehicle: int
@@ -40,8 +40,8 @@ class Alarm(NamedTuple):
 
 
 def score(item):
-    """Figures of a flight as a dict for JSON. item: (Flight, settle_s: for so long after its end a fault explains
-    what happens).
+    """Figures of a flight as a dict for JSON. item: (Flight, settle_s: time after the end of a fault during which it
+    still explains what happens).
     """
     flight, settle_s = item
     began_s = time.process_time()
@@ -64,7 +64,7 @@ def score(item):
 
 
 def _vehicle_minutes(result):
-    """How long each vehicle was up since the course was reached, all together."""
+    """Time [min] that the vehicles were in the air since the course was reached, summed over the vehicles."""
     up = result.actual_m[result.times_s >= result.reached_s, :, 2] > REST_HEIGHT_M + 0.01
     return np.count_nonzero(up) * JUDGE_EVERY * FRAME_S / 60.0
 
@@ -102,8 +102,8 @@ def _alarms(result):
 
 
 def _events(flight, result, alarms, settle_s):
-    """What was noticed of each fault: [text, begin [s], outcome, safe, delay [ms] or None, how]; not of those that came
-    when nobody could notice them any more: the vehicle was down, or above OK already.
+    """How each fault was detected: [text, begin [s], outcome, safe, delay [ms] or None, how]. Faults that could not be
+    detected are left out: the vehicle was down, or above OK already.
     """
     rows, vehicles = [], {name: i for i, name in enumerate(result.namespaces)}
     begins_s = sorted(outcome.start_s + LATENCY_S for outcome in result.faults)
@@ -125,13 +125,13 @@ def _events(flight, result, alarms, settle_s):
 
 
 def _is_ready(result, alarms, vehicle, time_s):
-    """Whether a vehicle is on its course, and all is well with it."""
+    """Whether a vehicle is on its course, and has no alarm."""
     mine = (alarm for alarm in alarms if alarm.vehicle == vehicle)
     return result.left_s[vehicle] > time_s and not any(alarm.time_s < time_s < alarm.until_s for alarm in mine)
 
 
 def _false_alarms(flight, result, alarms, settle_s):
-    """How many levels above OK nothing explains: no fault, and no level that a fault explains."""
+    """Number of levels above OK that neither a fault explains, nor another level that a fault explains."""
     explained, lasting, vehicles = [], [], {name: i for i, name in enumerate(result.namespaces)}
     for event, outcome in zip(flight.faults, result.faults):
         end_s = math.inf if outcome.end_s is None else outcome.end_s
@@ -151,10 +151,10 @@ def _false_alarms(flight, result, alarms, settle_s):
 
 
 class Record:
-    """The flights of a scorecard that were flown, in a file: what it is of, then a line for each."""
+    """The file of the flights that a scorecard has flown: its identity, then a line for each flight."""
 
     def __init__(self, folder, identity):
-        """identity: dict for JSON; a file of another one is kept beside, as FILE.old.
+        """identity: dict for JSON; a file with another identity is kept as FILE.old.
 
         flown: {(fault, severity, estimator, controller): {seed: figures}}.  notice: what became of an earlier file.
         Raises ValueError for a file that another scorecard writes, or that is damaged.
@@ -163,7 +163,7 @@ class Record:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE
         self._open(path)
-        whole = path.read_bytes().split(b"\n")[:-1]  # what was cut off in the middle of a line is flown again
+        whole = path.read_bytes().split(b"\n")[:-1]  # a flight whose line is incomplete is flown again
         if whole and _loaded(whole[0]) == identity:
             for number, line in enumerate(whole[1:], 2):
                 if not (loaded := _loaded(line)):
@@ -199,7 +199,7 @@ class Record:
         self.flown.setdefault(tuple(line["cell"]), {})[line["seed"]] = line
 
     def add(self, cell, seed, figures):
-        """One more was flown."""
+        """Add a flight."""
         line = {"cell": list(cell), "seed": seed} | figures
         self._take(line)
         self._write(line)
@@ -212,12 +212,12 @@ class Record:
         }
 
     def close(self):
-        """No more come."""
+        """Close the file."""
         self._file.close()
 
 
 def _loaded(line):
-    """What a line holds; {} of one that is damaged."""
+    """Content of a line; {} when it is damaged."""
     try:
         return json.loads(line)
     except ValueError:
@@ -225,16 +225,16 @@ def _loaded(line):
 
 
 def _difference(before, now):
-    """Which parts of an identity are others."""
+    """Text that names the parts of an identity that differ."""
     keys = [key for key in now if not isinstance(before, dict) or before.get(key) != now[key]]
     return "another " + ", ".join(key.replace("_", " ") for key in keys)
 
 
 def code_version():
-    """Digest of everything that flies: sources, settings and fleets of our packages, and members from elsewhere."""
+    """Digest of all that affects a flight: sources, settings and fleets of our packages, and external members."""
     folders = [pathlib.Path(folder) for package in _SOURCES for folder in package.__path__] + member_folders()
     for package in _SOURCES:
-        with contextlib.suppress(ValueError):  # it has none
+        with contextlib.suppress(ValueError):  # the package has none
             folders.append(package_file(package.__name__, "config"))
     digest = hashlib.sha256()
     for folder in folders:
@@ -244,7 +244,7 @@ def code_version():
 
 
 def fly_plan(plan, record, workers, on_progress):
-    """Fly what a Plan wants and the Record has not. on_progress: called with the part that is over.
+    """Fly the flights of a Plan that the Record does not have yet. on_progress: called with the fraction that is done.
 
     Raises as `workers.in_order`.
     """

@@ -1,9 +1,8 @@
-"""The faults that a bag shows, as a list for offline flights: what motion capture did that vehicles cannot.
+"""Finds the faults of motion capture in a bag, as a list for offline flights.
 
-Looked for are gaps between frames, frames that came late or repeat the one before, vehicles of which too few markers
+It looks for gaps between frames, frames that came late or repeat the one before, vehicles of which too few markers
 were seen, and steps from one frame to the next that no vehicle can fly: to another place or heading, to the place of
-another vehicle, of two markers with each other's place, of one marker alone. A step lasts until the next one of the
-same vehicle.
+another vehicle, two markers that change places, one marker alone. A step lasts until the next one of the same vehicle.
 """
 
 import math
@@ -25,11 +24,11 @@ from risc_simulator.faults import FaultEvent, fault_settings
 _TIME, _PHASES = "/mocap_time", "/trajectory_phase"
 _GAP_S = 0.05
 _LATE_S = 0.02
-_TOGETHER_S = 0.1  # what is late, blind or the same again after no longer than this is so once
+_TOGETHER_S = 0.1  # late, blind or repeated frames that are no farther apart are one fault
 _LEAST_S = 0.015  # shorter ones are noise
 _LEAST_MARKERS = 3  # a pose needs so many
 _STEP_M, _SPEED_M_S = 0.05, 6.0  # a marker that goes farther than both together has stepped
-_RIGID_M = 0.02  # RMS: so well the markers of one body fit
+_RIGID_M = 0.02  # RMS residual below which the markers of a body fit as a rigid body
 _TURN_RAD = math.radians(60.0)
 _SAME_PLACE_M = 0.03  # of a marker
 _NEAR_M = 0.2  # of a vehicle
@@ -44,11 +43,11 @@ class Recording:
     stamps_s: list = field(default_factory=list)
     late_s: list = field(default_factory=list)  # from its stamp to its receipt; NaN: not known
     markers_m: dict = field(default_factory=lambda: defaultdict(list))  # of each body: [(n, 3)], NaN = not seen
-    course_s: tuple[float, float] | None = None  # when all were on the course, until they left it; None: not said
+    course_s: tuple[float, float] | None = None  # from when to when all were on the course; None: not known
 
 
 class Seen(NamedTuple):
-    """A fault as it was seen."""
+    """A fault that was found in a recording."""
 
     start_s: float  # stamp
     duration_s: float
@@ -60,7 +59,7 @@ class Seen(NamedTuple):
 def read(path, bodies, on_progress=None):
     """Recording of a bag. bodies: names of those that count; those that are never seen are left out.
 
-    on_progress: called with the part that is read.  Raises BagError, and ValueError when none of them is seen.
+    on_progress: called with the fraction that is read.  Raises BagError, and ValueError when none of them is seen.
     """
     recording, late_s, there = Recording(tuple(bodies)), {}, set()
     begin_s, end_s = None, math.inf
@@ -102,7 +101,7 @@ def _take_markers(recording, message):
 
 
 def seen_faults(recording):
-    """[Seen] in the order of time."""
+    """[Seen] of a recording, in order of time."""
     order = np.argsort(recording.stamps_s, kind="stable")
     stamps_s = np.array(recording.stamps_s)[order]
     late_s = np.array(recording.late_s)[order]
@@ -141,7 +140,7 @@ def seen_faults(recording):
 
 
 def _stretches(stamps_s, flags):
-    """(first, last) index of each time in which something is so, short breaks included; noise is left out."""
+    """(first, last) index of each stretch of set flags. Short breaks are bridged, short stretches left out as noise."""
     found = []
     for k in np.flatnonzero(flags):
         if found and stamps_s[k] - stamps_s[found[-1][1]] <= _TOGETHER_S:
@@ -152,7 +151,7 @@ def _stretches(stamps_s, flags):
 
 
 def _steps(stamps_s, bodies):
-    """Seen of what no vehicle can fly."""
+    """[Seen] of the steps that no vehicle can fly."""
     begun, found = {}, []  # {body: (fault, severity, since)}
     for k in range(1, len(stamps_s)):
         step_s = stamps_s[k] - stamps_s[k - 1]
@@ -161,7 +160,7 @@ def _steps(stamps_s, bodies):
         pairs = {name: (frames[k - 1], frames[k]) for name, frames in bodies.items()}
         stepped = {name: pair for name, pair in pairs.items() if _has_stepped(*pair, step_s)}
         for name, fault in _kinds(stepped).items():
-            if name in begun:  # back again, or on to something else, which is told of the first only
+            if name in begun:  # it steps back, or on: only the first step is reported
                 was, severity, since_s = begun.pop(name)
                 found.append(Seen(since_s, stamps_s[k] - since_s, was, name, severity))
             elif fault is not None:
@@ -188,7 +187,7 @@ def _has_stepped(before_m, after_m, step_s):
 
 
 def _kinds(stepped):
-    """{body: (fault, severity); None: of no kind that is known} of those that stepped at the same time."""
+    """{body: (fault, severity), or None if of no known kind} of bodies that stepped at the same time."""
     kinds, places = {}, {name: tuple(np.nanmean(m, axis=0) for m in pair) for name, pair in stepped.items()}
     for name, pair in stepped.items():
         exchanged = any(
@@ -202,7 +201,7 @@ def _kinds(stepped):
 
 
 def _kind(before_m, after_m):
-    """(fault, severity) of a body that stepped by itself; None: nothing that is known."""
+    """(fault, severity) of a body that stepped by itself; None: of no known kind."""
     steps_m = np.linalg.norm(after_m - before_m, axis=1)
     far = np.flatnonzero(steps_m > _STEP_M)
     middle_m = after_m.mean(axis=0) - before_m.mean(axis=0)
@@ -231,8 +230,8 @@ def _turn(before_m, after_m):
 
 
 def events_of(recording, seen, vehicles):
-    """(FaultEvents, how many were before or after the course). Times count from when the course is reached, in a bag
-    that does not say that from its first frame. vehicles: {body: namespace}; of others the seed chooses one.
+    """(FaultEvents, how many were before or after the course). Times count from when the course is reached, or from
+    the first frame of a bag that does not say. vehicles: {body: namespace}; for other bodies the seed chooses one.
     """
     begin_s, end_s = recording.course_s or (min(recording.stamps_s, default=0.0), math.inf)
     inside = [item for item in seen if begin_s <= item.start_s < end_s]
@@ -241,7 +240,7 @@ def events_of(recording, seen, vehicles):
 
 
 def _event(item, vehicle, start_s):
-    """FaultEvent of a Seen, as severe and long as its member can be."""
+    """FaultEvent of a Seen; severity and duration are limited to what the fault's member allows."""
     settings = fault_settings(item.fault)
     severity, duration_s = (
         None if value is None else round(min(max(value, low), high), 4)
@@ -251,10 +250,10 @@ def _event(item, vehicle, start_s):
 
 
 def make_script(bag_path, path, vehicles, on_progress=None):
-    """Write the faults of a bag as a YAML file. vehicles: those of a flight that it is for, {body: namespace}.
+    """Write the faults of a bag as a YAML file. vehicles: of the flights that will use it, {body: namespace}.
 
-    The bag's own are those of the fleet file beside it. Returns (FaultEvents, how many lie outside of the course).
-    Raises ValueError for a bag without what is needed.
+    The bag's own vehicles are those of the fleet file beside it. Returns (FaultEvents, how many lie outside of the
+    course). Raises ValueError for a bag that lacks what is needed.
     """
     fleet = fleet_of(bag_path)
     names = [vehicle.template for vehicle in fleet.vehicles] if fleet else list(vehicles)

@@ -24,7 +24,7 @@ _SCALARS = (
 _COLOURS = {grade: plots.COLOURS[k] for grade, k in zip(GRADES, (2, 4, 1))}
 _OTHER = plots.COLOURS[0]
 _SHIFT = dict(zip(GRADES, (-0.22, 0.0, 0.22)))  # of a line of the picture, for each grade
-_LINE = operator.itemgetter("fault", "estimator", "controller")  # what a line of the picture is of
+_LINE = operator.itemgetter("fault", "estimator", "controller")  # identifies a line of the picture
 _CONDITIONS = ("ladder", "trajectories", "vehicles", "flight_s", "events", "random")
 _MARKERS = {"breaches": "X", "contacts": "P", "false_alarms": "v"}
 # factor, unit, digits of a figure in a comparison
@@ -56,7 +56,7 @@ def write_all(scorecard, folder):
 
 
 def page_values(scorecard):
-    """What the template of the page knows."""
+    """Variables of the page's template."""
     return {
         "card": {"against": None} | scorecard, "pairs": _pairs(scorecard["rows"]), "head": HEAD, "meaning": MEANING,
         "most_named": MOST_NAMED, "draw": draw, "cells": cells, "compared": compared, "rate": rate,
@@ -76,9 +76,9 @@ def read(path):
 
 
 def differing_conditions(scorecard, other):
-    """Names of what both were flown with, where that differs: then a difference may come from it."""
+    """Names of the conditions in which two scorecards differ: a difference of figures may come from them."""
     here, there = ({"ladder": card.get("ladder"), **card.get("settings", {})} for card in (scorecard, other))
-    as_read = json.dumps  # of one that was not read from a file, too
+    as_read = json.dumps  # one may not have been read from a file
     return [name for name in _CONDITIONS if as_read(here.get(name)) != as_read(there.get(name))]
 
 
@@ -111,7 +111,7 @@ def minutes_text(minutes):
 
 
 def rate(row, what):
-    """95 % bounds of a rate per minute, as text: "< 3e-4" of what has never happened."""
+    """95 % bounds of a rate per minute, as text: "< 3e-4" for what has never happened."""
     bounds = row[what + "_per_minute_bounds"]
     if bounds is None:
         return "–"
@@ -133,7 +133,7 @@ def _short(value, up=True):
 
 
 def markdown(scorecard):
-    """The scorecard as Markdown, which is what a terminal shows, too."""
+    """The scorecard as Markdown, which is also printed on the terminal."""
     totals = scorecard["totals"]
     ladder = "" if scorecard["ladder"] else ", without the safety ladder"
     revision = scorecard["revision"] or "unknown"
@@ -247,11 +247,11 @@ def draw(scorecard):
 
 
 def _dot(colour, label, **style):
-    """Of the legend."""
+    """An entry of the legend."""
     return Line2D([], [], marker="o", linestyle="", markersize=4, color=colour, label=label, **style)
 
 
 def _ticks_of(low, high):
-    """Multiples of powers of ten that have room for their numbers on a logarithmic axis."""
+    """Multiples of powers of ten whose labels have room on a logarithmic axis."""
     decades = math.log10(high / low)
     return (1.0, 2.0, 5.0) if decades < 2.0 else (1.0, 3.0) if decades < 3.5 else (1.0,)

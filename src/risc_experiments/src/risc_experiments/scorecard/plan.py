@@ -1,4 +1,4 @@
-"""What a scorecard flies: its cells, and the flights of each with their faults, made of a seed."""
+"""What a scorecard flies: its cells, and the flights of each with their faults, generated from a seed."""
 
 import math
 import pathlib
@@ -19,7 +19,7 @@ NONE, RANDOM = "none", "random"  # faults that are not members: nothing happens;
 GRADES = ("mild", "medium", "severe")
 WHOLE = "-"  # severity of what has no grades
 _ENOUGH_MIN = 0.01
-_MOST_FLIGHTS = 10  # of a cell: so many times as many as would be enough if each lasted to its end
+_MOST_FLIGHTS = 10  # of a cell: times the number that would be enough if each lasted to its end
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class ScorecardParams(Settings):
 
 
 def load_params(path=None):
-    """ScorecardParams of a file; None: the tree's own. Raises ValueError."""
+    """ScorecardParams of a file; None: config/scorecard.yaml. Raises ValueError."""
     path = path or package_file("risc_experiments", "config/scorecard.yaml")
     return settings_from(ScorecardParams, load_yaml(path), str(path))
 
@@ -103,7 +103,7 @@ class Plan(NamedTuple):
     params: ScorecardParams
 
     def flight(self, cell, seed):
-        """The Flight of a cell with this seed, as 1, 2, ... The same faults come for every estimator and controller."""
+        """The Flight of a cell with this seed (1, 2, ...). Every estimator and controller gets the same faults."""
         trajectory = self.params.trajectories[seed % len(self.params.trajectories)]
         vehicles = list(vehicles_of(self.params, trajectory).values())
         key = crc32(pathlib.PurePath(cell.fault).name.encode()), crc32(cell.severity.encode())
@@ -138,7 +138,7 @@ class Plan(NamedTuple):
         return script(lambda: self._draw(cell, rng), self.params.events, vehicles, self.flight_s, rng)
 
     def _draw(self, cell, rng):
-        """FaultEvent of a cell, of which nobody knows yet when it is."""
+        """FaultEvent of a cell, without a time yet."""
         if cell.fault == RANDOM:
             return random_fault(safe_members(self.params), self.params.random, rng)
         settings = fault_settings(cell.fault)
@@ -154,13 +154,13 @@ class Plan(NamedTuple):
             yield from ((cell, seed) for seed in seeds if seed not in done)
 
     def part(self, flown):
-        """Which part of the whole is over."""
+        """Fraction of the plan that is done."""
         if self.seeds is not None:
             return sum(map(len, flown.values())) / (len(self.seeds) * len(self.cells))
         return sum(min(sum(done.values()) / self.minutes, 1.0) for done in flown.values()) / len(self.cells)
 
     def _count(self, flights, minutes):
-        """How many flights a cell should have when so many have lasted so long: some end early."""
+        """How many flights a cell needs, after this many flights of this many minutes in all: some end early."""
         whole = self.flight_s / 60.0
         missing = self.minutes - minutes
         if missing <= _ENOUGH_MIN:
@@ -188,7 +188,7 @@ def script(draw, params, vehicles, flight_s, rng):
 
 
 def random_fault(names, params, rng):
-    """FaultEvent of one of the members, as bad as its grades go, at most. params: RandomParams."""
+    """FaultEvent of a random member, with an argument in the range of its grades. params: RandomParams."""
     name = names[rng.integers(len(names))]
     settings = fault_settings(name)
     values = settings.grades.values()
@@ -197,7 +197,7 @@ def random_fault(names, params, rng):
 
 
 def _event(name, settings, argument, duration_s, always=False):
-    """duration_s: where the member's default has no end, or always."""
+    """FaultEvent of a member. duration_s: is used if the member's default has no end, or always."""
     if settings.argument == "duration":
         return FaultEvent(name, duration_s=argument)
     low_s, high_s = settings.duration_s
@@ -207,27 +207,27 @@ def _event(name, settings, argument, duration_s, always=False):
 
 
 def between_log(low, high, rng):
-    """A number between, evenly on a logarithmic scale where there is one."""
+    """Random number between low and high, log-uniform; uniform if low is not positive."""
     if low <= 0.0:
         return float(rng.uniform(low, high))
     return float(min(max(math.exp(rng.uniform(math.log(low), math.log(high))), low), high))
 
 
 def vehicles_of(params, trajectory=None):
-    """{template: namespace} of those that fly."""
+    """{template: namespace} of the vehicles that fly."""
     fleet = default_fleet(params.vehicles, trajectory or params.trajectories[0])
     return {vehicle.template: vehicle.namespace for vehicle in fleet.vehicles}
 
 
 def severities_of(fault, severities):
-    """Those of the severities that a fault of a cell has."""
+    """The severities, of those given, that a fault of a cell has."""
     if fault in (NONE, RANDOM) or is_file(fault):
         return (WHOLE,)
     return tuple(grade for grade in severities if grade in fault_settings(fault).grades)
 
 
 def is_file(fault):
-    """Whether it is not the name of a member."""
+    """Whether a fault is given as a file, not as the name of a member."""
     return pathlib.PurePath(fault).suffix in (".yaml", ".yml")
 
 
@@ -237,5 +237,5 @@ def members(params):
 
 
 def safe_members(params):
-    """Those of them that a flight can end safely with."""
+    """Names of the graded faults with which a flight can end safely."""
     return [name for name in members(params) if "breach" not in fault_settings(name).safe]

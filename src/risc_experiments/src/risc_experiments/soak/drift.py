@@ -1,4 +1,4 @@
-"""Whether a figure grows: robust slopes, of series in bounded memory."""
+"""Detects whether a figure grows: robust slopes of time series in bounded memory."""
 
 from typing import NamedTuple
 
@@ -17,15 +17,15 @@ _HOUR_S = 3600.0
 class Drift(NamedTuple):
     """How a figure changes. Slopes are per hour; None: too little is known."""
 
-    first: float | None  # median while it warms up; where there was no time for that, of the first samples
+    first: float | None  # median during the warm-up; without a warm-up, of the first samples
     last: float | None  # median of the newest samples
-    slope: float | None  # Theil and Sen's, since then
+    slope: float | None  # Theil-Sen slope since the warm-up
     low: float | None  # ends of its 95 % interval
     high: float | None
-    judged_s: float  # how long has been looked at for that
+    judged_s: float  # time that the slope covers
 
     def exceeds(self, most_per_hour, least):
-        """Whether it surely grows by more than that, and has made up at least so much so."""
+        """Whether the lower end of the slope is above most_per_hour, and amounts to more than least in judged_s."""
         return self.low is not None and self.low > most_per_hour and self.low * self.judged_s / _HOUR_S > least
 
 
@@ -33,7 +33,7 @@ UNKNOWN = Drift(None, None, None, None, None, 0.0)
 
 
 class Track:
-    """Figures of one thing over time, together: at most `MOST_SAMPLES` rows, evenly spread over all that came."""
+    """Figures of one thing over time: at most `MOST_SAMPLES` rows, evenly spread over all that were added."""
 
     def __init__(self, *names):
         self._names = names

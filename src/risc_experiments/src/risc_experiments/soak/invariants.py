@@ -1,8 +1,8 @@
-"""What must stay true while a soak goes on, and what is said when it does not. No input or output."""
+"""What must stay true during a soak, and the messages when it does not. No input or output."""
 
 from typing import NamedTuple
 
-FIGURES = {  # of a process: (limits of SoakLimits per hour and at all, unit, what it is)
+FIGURES = {  # of a process: (names of its SoakLimits per hour and in total, unit, text)
     "own_mb": ("memory_mb_h", "memory_mb", "MB", "memory of its own"),
     "descriptors": ("descriptors_h", "descriptors", "", "open descriptors"),
     "threads": ("threads_h", "threads", "", "threads"),
@@ -10,7 +10,7 @@ FIGURES = {  # of a process: (limits of SoakLimits per hour and at all, unit, wh
 
 
 class Violation(NamedTuple):
-    """Something that must not be."""
+    """A broken invariant."""
 
     invariant: str  # one word
     text: str  # what was found, in a sentence
@@ -42,7 +42,7 @@ def latency(track, warm_s, params):
 
 
 def flight(judged, limits):
-    """Violation of a flight; None. judged: of `flight.judge_flight`."""
+    """Violation of a flight; None. judged: of `verdict.judge_flight`."""
     if judged["reasons"]:
         return Violation("flight", "; ".join(judged["reasons"]))
     late_ms = judged["lab_late_ms"]["p99"]
@@ -60,7 +60,7 @@ def crash(vehicle, reason, safe):
 
 
 def gone(ended):
-    """Violation of processes that nobody was to end; None. ended: of `Processes.ended`."""
+    """Violation of processes that ended and were not killed by a fault; None. ended: of `Processes.ended`."""
     wrong = ["%s (process %d)" % (name, pid) for name, pid, killed in ended if not killed]
     return Violation("process", "%s: ended, and no fault of this flight ended it" % ", ".join(wrong)) if wrong else None
 
@@ -89,7 +89,7 @@ def error(node, text, explained):
 
 
 def traceback(text):
-    """Violation of a Python program that did not expect what happened: no fault excuses that."""
+    """Violation of a Python program with an unhandled exception: no fault excuses that."""
     return Violation("log", "a traceback in roslaunch.log: %s" % text.strip().splitlines()[-1])
 
 

@@ -67,7 +67,7 @@ def _process(process, soak):
 
 
 def repeat(soak):
-    """What is needed to see it again: {what: path or command}."""
+    """What is needed to reproduce the violation: {what: path or command}."""
     number, told = soak.violated, {"seed": soak.args.seed, "log": str(soak.folder / "roslaunch.log"),
                                    "logs": str(soak.folder / "ros_log"), "all": soak.args.command}  # fmt: skip
     if number:
@@ -99,7 +99,7 @@ def write_all(soak):
 
 
 def verdict(result):
-    """How it went, in a few words."""
+    """The result in a few words."""
     if result["violation"] is not None:
         return "%(invariant)s: %(text)s" % result["violation"]
     return "interrupted; all invariants held" if result["interrupted"] else "all invariants held"
@@ -130,7 +130,7 @@ def slope(drift):
 
 
 def facts(result):
-    """[(what, text)] of the whole."""
+    """[(what, text)] of the whole soak."""
     late_ms, latency_ms = result["lab"]["late_ms"], result["latency_ms"]
     newest = [table.number(latency_ms[name]["last"], 1) for name in ("p50", "p99")]
     first = [table.number(latency_ms[name]["first"], 1) for name in ("p50", "p99")]
@@ -157,7 +157,7 @@ def facts(result):
 
 
 def markdown(result):
-    """As Markdown, which is what a terminal shows, too."""
+    """The result as Markdown, which is also printed on the terminal."""
     lines = ["# Soak of %.2f h (simulated): %s" % (result["flown_h"], verdict(result)), ""]
     lines += ["%s, revision %s: `%s`" % (result["date"], result["revision"] or "unknown", result["command"]), ""]
     lines += ["- %s: %s" % fact for fact in facts(result)]

@@ -1,4 +1,4 @@
-"""What the processes of a soak take: memory, descriptors, threads, processor time, while they live."""
+"""Resources that the processes of a soak use: memory, descriptors, threads, processor time."""
 
 import contextlib
 import os
@@ -16,9 +16,9 @@ OURSELVES = "maap soak"
 class Look(NamedTuple):
     """One process at one time."""
 
-    rss_mb: float  # memory that it uses,
-    pss_mb: float  # less what it shares with others, in parts,
-    own_mb: float  # and without any of that
+    rss_mb: float  # resident memory
+    pss_mb: float  # the same, with shared memory divided among the processes that share it
+    own_mb: float  # the same, without shared memory
     descriptors: int
     threads: int
     cpu_s: float  # processor time since it began
@@ -28,7 +28,7 @@ class Process:
     """A process, and how it has changed."""
 
     def __init__(self, name, program, process, time_s):
-        """program: what several processes may be called.  name: what only this one is among those that live."""
+        """program: a name that several processes may have.  name: unique among the processes that live."""
         self.name, self.program, self.since_s = name, program, time_s
         self.parent = process.ppid()
         self.key = process.pid, process.create_time()
@@ -39,13 +39,13 @@ class Process:
 
     @property
     def alive(self):
-        """A process that nobody has waited for yet has ended, too."""
+        """Whether it runs; a zombie does not."""
         with contextlib.suppress(psutil.Error):
             return self._process.is_running() and self._process.status() != psutil.STATUS_ZOMBIE
         return False
 
     def look(self, time_s):
-        """Look at it now. Returns the Look; None when it has ended."""
+        """Sample it now. Returns the Look; None when it has ended."""
         try:
             with self._process.oneshot():
                 memory, times = self._process.memory_full_info(), self._process.cpu_times()
@@ -63,7 +63,7 @@ class Process:
 
 
 class Processes:
-    """Those of one launch, and this one."""
+    """The processes of one launch, and this one."""
 
     def __init__(self, identity):
         """identity: of `launching.Launch`."""
@@ -73,16 +73,16 @@ class Processes:
 
     @property
     def known(self):
-        """All that were ever seen, by name."""
+        """All processes that were ever seen, by name."""
         return sorted(self._known.values(), key=lambda item: item.name)
 
     @property
     def living(self):
-        """Processes, by name."""
+        """Processes that live, by name."""
         return [process for process in self.known if process.alive]
 
     def find(self, time_s):
-        """Look which there are."""
+        """Find new processes."""
         for pid in (os.getpid(), *marked_processes(self._identity)):
             with contextlib.suppress(psutil.Error):
                 process = psutil.Process(pid)
@@ -92,7 +92,7 @@ class Processes:
                     self._known[key] = Process(self._new_name(name), name, process, time_s)
 
     def _new_name(self, name):
-        """One that no living process has: the second is called "NAME 2"."""
+        """A name that no living process has: the second process is called "NAME 2"."""
         taken, number = {process.name for process in self.living}, 2
         wanted = name
         while name in taken:
@@ -100,19 +100,19 @@ class Processes:
         return name
 
     def look(self, time_s):
-        """Look at all that live. Returns {name: Look}."""
+        """Sample all that live. Returns {name: Look}."""
         self.find(time_s)
         found = {process.name: process.look(time_s) for process in self.living}
         return {name: look for name, look in found.items() if look is not None}
 
     def expect(self):
-        """Those that live now have to live until the end."""
+        """Require those that live now to live until the end."""
         self.expected = {process.name: process.key for process in self.living}
 
     def ended(self, killed):
         """[(name, process id, whether it was killed)] of those that had to live and do not.
 
-        killed: process ids of those that were killed on purpose; what these had started ends with them.
+        killed: process ids of those that were killed on purpose; their children end with them.
         """
         alive = self.alive
         gone = [(name, self._known[key]) for name, key in self.expected.items() if key not in alive]
@@ -120,7 +120,7 @@ class Processes:
                 for name, process in gone]  # fmt: skip
 
     def replace(self, name):
-        """One that was killed on purpose and has a successor: that one has to live from now on. Returns whether."""
+        """Require the successor of a killed process to live from now on. Returns False if there is none yet."""
         program, taken = self._known[self.expected[name]].program, set(self.expected.values())
         successor = next((item for item in self.living if item.program == program and item.key not in taken), None)
         if successor is None:

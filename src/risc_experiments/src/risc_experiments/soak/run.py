@@ -1,4 +1,4 @@
-"""A soak as it goes on: one graph, flight after flight, watched all the time."""
+"""The main loop of a soak: one graph, flight after flight, monitored all the time."""
 
 import contextlib
 import datetime
@@ -23,8 +23,8 @@ from risc_experiments.soak.verdict import BAG, FAULTS, FLEET, JUDGED
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, wait_until
 
-LOOK_S = 0.2  # how often all is looked at
-SIGN_S = 3.0  # for what was asked for to show
+LOOK_S = 0.2  # how often everything is checked
+SIGN_S = 3.0  # for a request to take effect
 RECORDER_S = 30.0  # for a recorder to start, to end
 ON_GROUND_S = 15.0  # for all vehicles to say that they stand, once the flight is over
 PUT_BACK_S = 20.0  # for a vehicle to be put back
@@ -33,12 +33,12 @@ STARTING_S = 120.0  # for all nodes to start
 LAND_S = fly.STOP_PATIENCE_S
 FLIGHTS = "flights"
 TRACEBACK = b"Traceback (most recent call last)"
-_TRACEBACK_BYTES = 4000  # of it that are told
+_TRACEBACK_BYTES = 4000  # of it that are reported
 _READ_BYTES = 1 << 20  # of a log at a time
 
 
 class EndError(Exception):
-    """The soak ends now: an invariant does not hold (a Violation), or somebody has interrupted it (None)."""
+    """The soak ends now: an invariant does not hold (a Violation), or it was interrupted or is too slow (None)."""
 
     def __init__(self, violation=None):
         super().__init__(violation)
@@ -46,7 +46,7 @@ class EndError(Exception):
 
 
 class Record:
-    """soak.jsonl: a line for each event and look, written at once."""
+    """soak.jsonl: a line for each event and sample, written at once."""
 
     def __init__(self, folder):
         self._begin_s = time.monotonic()
@@ -54,17 +54,17 @@ class Record:
 
     @property
     def time_s(self):
-        """Since the begin."""
+        """Time since the start [s]."""
         return time.monotonic() - self._begin_s
 
     def add(self, kind, **fields):
-        """One line."""
+        """Write a line."""
         now = datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")
         entry = {"time": now, "t_s": round(self.time_s, 2), "kind": kind, **fields}
         self._file.write(json.dumps(entry, allow_nan=False, default=str) + "\n")
 
     def close(self):
-        """Nothing comes any more."""
+        """Close the file."""
         self._file.close()
 
 
@@ -75,14 +75,14 @@ class LogFollower:
         self._path, self._at = path, 0
 
     def tracebacks(self):
-        """Texts of those that have come since the last call."""
+        """Texts of the tracebacks since the last call."""
         with self._path.open("rb") as log:
             log.seek(self._at)
             data = log.read(_READ_BYTES)
         found, begin = [], data.find(TRACEBACK)
         while begin >= 0:
             if len(data) - begin < _TRACEBACK_BYTES and data[begin:].count(b"\n") < 3:
-                break  # it has only begun
+                break  # not complete yet
             lines = data[begin : begin + _TRACEBACK_BYTES].decode(errors="replace").splitlines()
             end = next((k for k, line in enumerate(lines[1:], 1) if line and not line[0].isspace()), len(lines) - 1)
             found.append("\n".join(lines[: end + 1]))
@@ -92,13 +92,13 @@ class LogFollower:
 
 
 class Judge:
-    """Judges bags in a program of its own, one after another, beside the flights and behind them."""
+    """Judges bags in a separate process, one after another, while the next flights fly."""
 
     def __init__(self):
         self._running = None  # (number, folder, Popen)
 
     def start(self, number, folder, asked, failure):
-        """Judge a flight. failure: see `flight.judge_flight`."""
+        """Judge a flight. failure: see `verdict.judge_flight`."""
         command = ["nice", "-n", "19", sys.executable, "-m", "risc_experiments.soak.verdict", str(folder)]
         command += ["--cut-short"] if failure is None else ["--asked", str(asked), "--failure", failure]
         with (folder / "judge.txt").open("w") as output:
@@ -108,7 +108,7 @@ class Judge:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-                start_new_session=True,  # a Ctrl-C is for us
+                start_new_session=True,  # Ctrl-C must not reach it
             )
         self._running = number, folder, process
 
@@ -117,7 +117,7 @@ class Judge:
         return self._running is not None
 
     def result(self):
-        """(number, what was judged) of a flight that has been judged; None when there is none.
+        """(number, content of its JUDGED) of a flight that has been judged; None when there is none.
 
         Raises EndError when it cannot be judged.
         """
@@ -131,7 +131,7 @@ class Judge:
         return number, json.loads((folder / JUDGED).read_text(encoding="utf-8"))
 
     def end(self):
-        """Give up what is being judged."""
+        """Abort the running evaluation."""
         if self.busy:
             self._running[2].kill()
             self._running[2].wait()
@@ -139,7 +139,7 @@ class Judge:
 
 
 class Soak:
-    """All that a soak knows. `carry_out` flies; what came of it stays here for `output`."""
+    """State of a soak. `carry_out` flies; the results stay here for `output`."""
 
     def __init__(self, args, flight, params, deck, folder, progress, interrupted):
         """args: of soak.__main__.  flight: its options as `fly.options` has them.  deck: script.Deck."""
@@ -148,7 +148,7 @@ class Soak:
         self.record = Record(folder)
         self.duration_s = 3600.0 * args.hours
         self.began = datetime.datetime.now().astimezone()
-        self.violation = self.violated = None  # and the number of the flight in which that was
+        self.violation = self.violated = None  # and the number of its flight
         self.interrupted = self.too_slow = False
         self.flights, self.faults, self.put_back = [], [], Counter()  # figures of flights; of faults
         self.flown_s = 0.0  # since the first take-off
@@ -158,9 +158,9 @@ class Soak:
         self.number = 0  # of the flight
         self._progress, self._interrupt = progress, interrupted
         self._launch = self._recorder = self._watch = self._log = self._programs = None
-        self._missing_s = {}  # processes that were killed -> since when nobody does what they did
+        self._missing_s = {}  # {name of a killed process: since when it has no successor}
         self._judge = Judge()
-        self.began_s = None  # of the record's time, when the first flight took off
+        self.began_s = None  # record time when the first flight took off
         self._sample_s = self._line_s = self._check_s = 0.0
         self._recorded_parameters = False
 
@@ -168,21 +168,21 @@ class Soak:
 
     @property
     def warm_s(self):
-        """Time of the record from which on drift counts."""
+        """Record time [s] from which drift is judged."""
         return (self.began_s or 0.0) + self.params.warm_up_of(self.duration_s)
 
     def warm_of(self, process):
-        """The same for a process, which may have begun later."""
+        """`warm_s` of a process, which may have started later."""
         return max(self.warm_s, process.since_s + self.params.warm_up_of(self.duration_s))
 
     def forget(self):
-        """Remove what was written, for another one that starts over in the same folder."""
+        """Remove what was written, for a soak that starts over in the same folder."""
         self.record.close()
         (self.folder / RECORD).unlink()
         shutil.rmtree(self.folder / FLIGHTS)
 
     def carry_out(self):
-        """Fly until the time is over, something is violated, or it is interrupted. Raises FlightError, ValueError."""
+        """Fly until the time is over, an invariant is violated, or interrupted. Raises FlightError, ValueError."""
         reservation = PortReservation()
         try:
             self._start(reservation)
@@ -211,7 +211,7 @@ class Soak:
         self._launch = Launch(launch_file, arguments, self.folder, self._port, reservation)
         self._log = LogFollower(self._launch.log_path)
         fly.wait_for_master(self._launch, self._port, self._interrupt)
-        from risc_experiments.ros.program_faults import ProgramFaults  # rospy is to see the environment of this graph
+        from risc_experiments.ros.program_faults import ProgramFaults  # late: rospy must see this graph's environment
         from risc_experiments.ros.soak_watch import SoakWatch
 
         self._watch = SoakWatch(self._vehicles)
@@ -230,7 +230,7 @@ class Soak:
         }  # fmt: skip
 
     def _note(self, stop):
-        """Remember why it ends, and land."""
+        """Remember why the soak ends, and land."""
         self.violation = stop.violation
         self.interrupted = stop.violation is None and not self.too_slow
         if stop.violation is not None:
@@ -246,14 +246,14 @@ class Soak:
             wait_until(self._has_landed, LAND_S)
 
     def _has_landed(self):
-        """Or nobody can wait for that any longer."""
+        """Whether the flight is over, or cannot be waited for any longer."""
         return self._watch.failure is not None or not self._launch.running() or self._interrupt.is_set()
 
     def _end(self):
-        """End all programs, and look at the flight that was cut short."""
+        """Judge the flight that was cut short, and end all programs."""
         self._interrupt.clear()
         if self._programs is not None:
-            self._programs.end_all()  # one that hangs does not end
+            self._programs.end_all()  # a program that hangs would not end
         try:
             self._stop_recording(None)
             self._await_judge()
@@ -271,7 +271,7 @@ class Soak:
     # ------------------------------------------------------------------ one flight
 
     def folder_of(self, number):
-        """Of a flight."""
+        """Folder of a flight."""
         return self.folder / FLIGHTS / ("%04d" % number)
 
     def _fly(self):
@@ -303,7 +303,7 @@ class Soak:
             self._tick("recorder")
 
     def _again(self):
-        """The operator is to fly again."""
+        """Have the operator start another flight."""
         problem = self._watch.fly_again()
         if problem:
             raise EndError(invariants.Violation("take-off", problem))
@@ -311,7 +311,7 @@ class Soak:
             raise EndError(invariants.Violation("take-off", "the operator said that he flies again, and does not"))
 
     def _follow(self):
-        """Until the operator says that the flight is over."""
+        """Follow the flight until the operator says that it is over."""
         asked_s = time.monotonic()
         limit_s = time_limit_s(fly.operator_params(self.flight)) + STARTING_S
         starting_s = STARTING_S if self.began_s is None else 0.0
@@ -341,7 +341,7 @@ class Soak:
                 self._check(invariants.Violation("flight", "not over within %.0f s" % limit_s))
 
     def _look_before(self, phase):
-        """Before the very first take-off."""
+        """Check what has to be checked before the very first take-off."""
         if not self._recorded_parameters and self._watch.operator_heard:
             self._recorded_parameters = True
             try:
@@ -359,7 +359,7 @@ class Soak:
                     raise EndError
 
     def _after(self):
-        """The fleet is on the ground, or was to be: end what acts, and stand all at their starts that need it."""
+        """After a flight: end faults, wait for landings, complete the bag, and put back the vehicles that need it."""
         failure = self._watch.failure if self._watch.flight_failed else ""
         problem = self._end_faults()
         if problem:
@@ -377,18 +377,18 @@ class Soak:
                 self.record.add("put_back", flight=self.number, vehicle=name, why=why)
 
     def _await_landings(self):
-        """Of vehicles whose programs had died: the operator could do nothing more, and their ladders land them."""
+        """Wait for vehicles whose programs have died: only their ladders can land them, not the operator."""
         end_s = time.monotonic() + ON_GROUND_S
         while self._watch.in_flight and time.monotonic() < end_s:
             self._tick("landing", ", ".join(self._watch.in_flight))
 
     def _end_faults(self):
-        """Returns why that does not work; ""."""
+        """End all faults. Returns "", or why that failed."""
         self._programs.end_all()
         return self._watch.end_faults()
 
     def _put_back(self, name):
-        """One that was silent may still be landing."""
+        """Put a vehicle back; try repeatedly, as one that was silent may still be landing."""
         end_s = time.monotonic() + PUT_BACK_S
         problem = self._watch.put_back(name)
         while problem:
@@ -412,10 +412,10 @@ class Soak:
         self._await_judge()
         self._judge.start(self.number, folder, len(self._events), failure)
 
-    # ------------------------------------------------------------------ what is looked at all the time
+    # ------------------------------------------------------------------ what is checked all the time
 
     def _tick(self, phase, text=""):
-        """A short while, and a look at everything. Raises EndError."""
+        """Wait LOOK_S, and check everything. Raises EndError."""
         self._progress.show("flight %d" % self.number, "%-8s %s" % (phase, text))
         if self._interrupt.wait(LOOK_S):
             raise EndError
@@ -456,7 +456,7 @@ class Soak:
         if not ended:
             self._missing_s = {}
             return
-        self.processes.find(now_s)  # who has come in their place
+        self.processes.find(now_s)  # their successors
         names = [name for name, _, _ in ended if not self.processes.replace(name)]
         self._missing_s = {name: self._missing_s.get(name, now_s) for name in names}
         waited_s = {name: now_s - since_s for name, since_s in self._missing_s.items()}
@@ -469,7 +469,7 @@ class Soak:
     def _sample(self, now_s):
         looks = self.processes.look(now_s)
         self.flown_s = now_s - self.began_s
-        processes = {process.name: process for process in self.processes.known}  # of a name the newest
+        processes = {process.name: process for process in self.processes.known}  # the newest of each name
         cores = {name: processes[name].cpu_cores for name in looks}
         sums = {name: sum(getattr(look, name) for look in looks.values()) for name in
                 ("pss_mb", "own_mb", "descriptors", "threads")}  # fmt: skip
@@ -490,7 +490,7 @@ class Soak:
                 self._check(violation)
 
     def _await_judge(self):
-        """Until the flight before is judged. Raises EndError."""
+        """Wait until the previous flight is judged. Raises EndError."""
         end_s = time.monotonic() + JUDGE_S
         while self._judge.busy:
             self._progress.show("judging", "flight %d" % self.number)
@@ -502,7 +502,7 @@ class Soak:
                 self._check(invariants.Violation("judge", "a flight was not judged within %.0f s" % JUDGE_S))
 
     def _judged(self):
-        """Take what has been judged. Raises EndError."""
+        """Take the result of a judged flight, if there is one. Raises EndError."""
         result = self._judge.result()
         if result is None:
             return
@@ -524,14 +524,14 @@ class Soak:
         self._remove_bags(number)
 
     def _remove_bags(self, newest):
-        """Those of flights in which nothing was wrong, but for the newest."""
+        """Remove the bags of flights without a violation, except the newest."""
         for number in set(range(1, newest - self.params.keep_flights + 1)) - {self.violated}:
             (self.folder_of(number) / BAG).unlink(missing_ok=True)
 
     # ------------------------------------------------------------------ for people
 
     def line(self):
-        """How it goes, in a line."""
+        """Progress in one line."""
         minutes = int(self.flown_s / 60.0)
         newest = self.flights[-1]["latency_ms"] if self.flights else {"p50": None, "p99": None}
         memory = self.totals.drift("own_mb", self.warm_s)

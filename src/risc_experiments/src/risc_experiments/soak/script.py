@@ -1,4 +1,4 @@
-"""The faults of each flight of a soak, made of its seed."""
+"""The faults of each flight of a soak, generated from its seed."""
 
 from typing import NamedTuple
 
@@ -16,13 +16,13 @@ class Deck(NamedTuple):
     """What faults are drawn from."""
 
     names: tuple[str, ...]  # of those in the lab, as the scorecard draws its `random`
-    of_programs: tuple[str, ...]  # of OF_PROGRAMS
-    share: float  # of the latter
+    of_programs: tuple[str, ...]  # some of OF_PROGRAMS
+    share: float  # of faults of programs, among all
     programs: ProgramFaultParams
     card: plan.ScorecardParams
 
     def draw(self, rng):
-        """FaultEvent, of which nobody knows yet when it is."""
+        """A random FaultEvent, without a time yet."""
         if not self.of_programs or self.names and rng.random() >= self.share:
             return plan.random_fault(self.names, self.card.random, rng)
         programs = self.programs
@@ -41,7 +41,7 @@ class Deck(NamedTuple):
 
 
 def deck_of(wanted, params, card):
-    """Deck of the faults that are wanted: (), of all that a flight can end safely with.
+    """Deck of the wanted faults; (): of all with which a flight can end safely.
 
     params: SoakParams.  card: ScorecardParams.  Raises ValueError for an unknown name.
     """

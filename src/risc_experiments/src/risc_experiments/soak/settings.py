@@ -10,7 +10,7 @@ LONGEST_WARM_UP = 1.0 / 3.0  # of the whole
 
 @dataclass(frozen=True)
 class SoakLimits(Settings):
-    """The first one that is broken ends the soak."""
+    """Limits; the first one that is broken ends the soak."""
 
     memory_mb_h: NotNegative = 10.0
     memory_mb: NotNegative = 8.0
@@ -59,11 +59,11 @@ class SoakParams(Settings):
     limits: SoakLimits = SoakLimits()
 
     def warm_up_of(self, duration_s):
-        """[s] of a soak of this length."""
+        """Warm-up [s] of a soak of this length."""
         return min(self.warm_up_s, LONGEST_WARM_UP * duration_s)
 
 
 def load_params(path=None):
-    """SoakParams of a file; None: the tree's own. Raises ValueError."""
+    """SoakParams of a file; None: config/soak.yaml. Raises ValueError."""
     path = path or package_file("risc_experiments", "config/soak.yaml")
     return settings_from(SoakParams, load_yaml(path), str(path))

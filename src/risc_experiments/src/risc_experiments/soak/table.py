@@ -1,4 +1,4 @@
-"""What became of faults, a row for each, of any number of soaks together. No input or output but `read`."""
+"""Table of how faults ended, a row for each, over one or more soaks. No input or output but `read`."""
 
 import json
 from collections import Counter
@@ -27,7 +27,7 @@ def read(folder):
 
 
 def counted(faults):
-    """Those that began while somebody flew."""
+    """The faults that began while a vehicle flew."""
     return [fault for fault in faults if fault["flying"]]
 
 
@@ -82,7 +82,7 @@ def markdown(head, rows, texts=(0,)):
 
 
 def faults_table(faults):
-    """Lines: the faults, and all together."""
+    """Lines of a table: a row for each fault, and one for all together."""
     rows = rows_of(faults)
     if len(rows) > 1:
         rows.append(row_of("all", faults))

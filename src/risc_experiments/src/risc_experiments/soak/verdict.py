@@ -1,4 +1,4 @@
-"""One flight of a soak, judged from its bag by a program of its own while the next one flies."""
+"""Judges a flight of a soak from its bag, in a separate process while the next one flies."""
 
 import argparse
 import json
@@ -16,11 +16,11 @@ from risc_lab.lab import load_fleet
 from risc_simulator.faults import parse_fault
 
 BAG, JUDGED, FAULTS, FLEET = "flight.bag", "judged.json", "faults.yaml", "fleet.yaml"  # in the folder of a flight
-_LEFT_OUT = ("/mocap_data", "/controls", "/cortex_raw")  # nothing here needs them, and they are many
+_LEFT_OUT = ("/mocap_data", "/controls", "/cortex_raw")  # not needed here, and numerous
 
 
 def judge_flight(folder, asked, failure):
-    """What became of a flight, as a dict for JSON.
+    """Outcome of a flight, as a dict for JSON.
 
     folder: of the flight, with its bag and fleet file.  asked: how many faults were to happen.  failure: why the flight
     as a whole failed; "" = it did not; None = it was cut short, and only the outcomes of its faults count.

@@ -1,4 +1,4 @@
-"""A controller that looks at what its vehicles carry: `toy_pd`, which lets the body follow the course in height."""
+"""A controller that uses the bodies that vehicles carry: `toy_pd`, but the body follows the course in height."""
 
 from dataclasses import dataclass
 
@@ -8,9 +8,9 @@ from risc_lab.states import S
 
 @dataclass(frozen=True)
 class Params(toy_pd.Params):
-    """Gains, and where the body is wanted."""
+    """Gains, and the desired height of the body."""
 
-    below_m: float = 0.0  # the course
+    below_m: float = 0.0  # below the course
 
 
 class Controller(toy_pd.Controller):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Driver of a toy quadrotor, the way there: topic toy/command, a text -> UDP 4050."""
+"""Driver of a toy quadrotor, to the vehicle: topic toy/command, a text -> UDP 4050."""
 
 import socket
 

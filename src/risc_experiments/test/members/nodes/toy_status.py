@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Driver of a toy quadrotor, the way back: asks on UDP 4051; state and charge go out on toy/status."""
+"""Driver of a toy quadrotor, from the vehicle: asks on UDP 4051; publishes state and charge on toy/status."""
 
 import socket
 

@@ -1,4 +1,4 @@
-"""A type that differs from the AR.Drone in all that an adapter may: radians on /controls, and a stick for thrust.
+"""A type that differs from the AR.Drone wherever an adapter may: radians on /controls, and a stick for thrust.
 
 `up` is the thrust, from none at -1 to `lift` weights at 1: it holds no height by itself.
 """
@@ -15,17 +15,17 @@ from risc_lab.lab.vehicle_types import own_numbers
 from risc_lab.ros.sender import sender
 from risc_lab.settings import Settings, between
 
-CLIMB_GAIN_1_S = 3.0  # of the climb rate, when nobody commands a thrust
+CLIMB_GAIN_1_S = 3.0  # of the climb rate loop, used when no thrust is commanded
 
 
 @dataclass(frozen=True)
 class Params(Settings):
-    """Of `own` in its YAML file; both sides read them."""
+    """The numbers under `own` in its YAML file; adapter and virtual vehicle read them."""
 
     lift: between(1.5, 10.0)  # [weights] of the full stick
 
     def weights(self, up):
-        """What a stick lifts."""
+        """Thrust [weights] of a stick position."""
         return 0.5 * self.lift * (1.0 + up)
 
 
@@ -37,7 +37,7 @@ class Adapter(vehicles.Adapter):
 
     @staticmethod
     def climb_loop(vehicle_type):
-        """It takes an acceleration: 1 is that of gravity."""
+        """The loop takes an acceleration; 1 is that of gravity."""
         return GRAVITY_M_S2, 0.0, min(1.0, own_numbers(vehicle_type, Params).lift - 1.0)
 
     def answer(self, controls, own, own_s, now_s, sent):
@@ -81,7 +81,7 @@ class Adapter(vehicles.Adapter):
 
 
 class Link:
-    """The topic of one of its two nodes; the other's is toy/status."""
+    """Publisher to the command node; the status node's topic is toy/status."""
 
     def __init__(self, prefix):
         import rospy

@@ -19,12 +19,12 @@ FIELDS = (("thrust_m_s2", float),)  # less gravity
 
 @compiled
 def before_step(x, inputs, vehicle):
-    """The climb loop of the common equations made to ask for what the vehicle has, so that the thrust is left."""
+    """Cancel the climb loop of the common equations: it asks for the present climb rate, so only the thrust acts."""
     inputs[U.CLIMB], inputs[U.CLIMB_TRIM] = level_motion(x)[0], vehicle.thrust_m_s2
 
 
 class Firmware(flight.Firmware):
-    """Obeys."""
+    """Carries out commands."""
 
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
