@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The throttle that hovers, over the battery's charge, from a recorded flight (thesis 5.2.2). Needs no ROS master."""
+"""Hover throttle as a function of the battery charge, from a recorded flight (thesis 5.2.2). Needs no ROS master."""
 
 import sys
 from dataclasses import fields
@@ -14,7 +14,7 @@ from risc_lab.lab.vehicle_types import own_numbers
 from risc_lab.radio_sticks import RadioSticks
 from risc_lab.settings import settings_from
 
-OPTIONS = {  # -> the setting, and what it is
+OPTIONS = {  # option -> (setting, help text)
     "--order": ("order", "of the polynomial"),
     "--window": ("window_s", "[s] over which throttle and acceleration are averaged"),
     "--min-height": ("min_height_m", "[m] lower, it may be on the ground"),
@@ -60,7 +60,7 @@ def main():
 
 
 def text_of(name, fit, kind, shipped):
-    """The result, for people."""
+    """Text of the result, for the terminal."""
     points, residuals = fit.points, fit.residuals
     worst = np.abs(residuals).argmax()
     lines = ["%s: %.0f s of hover and slow flight, battery %.0f to %.0f %%"

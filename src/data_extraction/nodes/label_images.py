@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Labelled pictures from a bag: motion capture says what every camera saw (COCO JSON). Needs no ROS master."""
+"""Label the pictures of a bag by means of motion capture (COCO JSON). Needs no ROS master."""
 
 import sys
 from dataclasses import fields
@@ -8,7 +8,7 @@ from data_extraction.command_line import bag_parser, fleet_of, folder_beside, ru
 from data_extraction.labels import LabelParams, label
 from risc_lab.settings import settings_from
 
-OPTIONS = {  # -> the setting, and what it is
+OPTIONS = {  # option -> (setting, help text)
     "--states": ("states_topic", "topic that says where the vehicles were"),
     "--delay": ("delay_s", "[s] exposure to stamp of a picture"),
     "--min-fraction": ("min_fraction", "of an object in the picture"),

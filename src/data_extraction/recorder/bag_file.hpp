@@ -1,9 +1,9 @@
 // A ROS bag of format 2.0 (http://wiki.ros.org/Bags/Format/2.0), made chunk by chunk.
 //
-// rosbag::Bag cannot be used any more once the disk was full: half a message stays in the chunk, closing
-// fails too, and its destructor throws, which ends the process. Here a chunk grows in memory and is written
-// whole or not at all, so what the bag holds can be indexed and read whatever happened. It also takes one
-// system call a chunk where rosbag::Bag takes some for every message.
+// rosbag::Bag is unusable once the disk was full: half a message stays in the chunk, closing fails too, and
+// its destructor throws, which ends the process. Here a chunk grows in memory and is written whole or not at
+// all, so whatever the bag holds can be indexed and read. This also takes one system call per chunk, where
+// rosbag::Bag takes several per message.
 
 #pragma once
 
@@ -29,7 +29,7 @@
 
 namespace data_extraction {
 
-// The bytes of a number. ROS knows little-endian computers only.
+// The bytes of a number. ROS supports little-endian computers only.
 template <typename T>
 std::string_view raw(const T& value) {
   static_assert(std::is_arithmetic_v<T>);
@@ -49,7 +49,7 @@ inline void put_field(std::string& to, std::string_view name, std::string_view v
   to.append(name).append(1, rosbag::FIELD_DELIM).append(value);
 }
 
-// A record but for its data, which are `bytes` long. Returns the string, for them.
+// Appends a record without its data, which are `bytes` long. Returns the string, to append them.
 inline std::string& put_record(std::string& to, unsigned char op,
                                std::initializer_list<std::pair<std::string_view, std::string_view>> fields,
                                std::size_t bytes) {
@@ -65,10 +65,10 @@ inline std::string& put_record(std::string& to, unsigned char op,
   return to;
 }
 
-// Messages, the connections that they are the first of, and their index, as they lie in a bag.
+// Messages, the connections that are new with them, and their index, laid out as in a bag.
 class Chunk {
  public:
-  // What a message takes in memory and in the bag besides itself: header, two lengths, entry in the index.
+  // Bytes that a message takes in memory and in the bag besides its content: header, 2 lengths, index entry.
   static constexpr std::size_t kBytesAround = 58;
 
   // Connections of a bag are numbered from 0 in the order in which they are added to its chunks.
@@ -127,7 +127,7 @@ class BagFile {
   BagFile(const BagFile&) = delete;
   BagFile& operator=(const BagFile&) = delete;
 
-  // Whether a process that lives has begun a bag of this name.
+  // Whether a running process is writing a bag of this name.
   static bool is_being_written(const std::string& path) {
     const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
     const bool taken = file >= 0 && ::flock(file, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
@@ -135,7 +135,7 @@ class BagFile {
     return taken;
   }
 
-  // Throws std::system_error; the bag holds the chunks before this one then.
+  // Throws std::system_error; the bag then holds the chunks before this one.
   void write(const Chunk& chunk) {
     std::string bytes, counts;
     const auto size = static_cast<std::uint32_t>(chunk.records_.size());
@@ -168,9 +168,9 @@ class BagFile {
     connections_.insert(connections_.end(), chunk.connections_.begin(), chunk.connections_.end());
   }
 
-  // Writes the index: now it can be read. Where there is no room for it, the last chunks make room: at most
-  // as many as may be given up, each of which is larger than it. Throws std::system_error; the chunks stay in
-  // the file then, and `rosbag reindex` finds them.
+  // Writes the index, which makes the bag readable. If there is no room for the index, drops the last chunks,
+  // at most `may_be_given_up` of them; each is larger than the index. Throws std::system_error; the chunks
+  // then stay in the file, and `rosbag reindex` finds them.
   void finish(int may_be_given_up = 8) try {
     std::string index;
     for (const std::string& connection : connections_) {
@@ -206,7 +206,7 @@ class BagFile {
     std::size_t messages;
   };
 
-  // Padded, so that the one of the finished bag fits in the place of the first. Returns where it ends.
+  // Padded, so that the header of the finished bag fits in the place of the first one. Returns where it ends.
   std::size_t write_header() {
     constexpr std::size_t kPadding = rosbag::FILE_HEADER_LENGTH - 69;  // less the fields
     std::string bytes = "#ROSBAG V2.0\n";
@@ -234,7 +234,7 @@ class BagFile {
 
   void cut_off_at_end() {
     if (::ftruncate(file_, static_cast<off_t>(end_)) != 0) {
-      return;  // what stays behind the end does no harm, except for the room that it takes
+      return;  // bytes beyond the end do no harm, except for the space that they take
     }
   }
 

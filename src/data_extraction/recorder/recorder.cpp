@@ -1,9 +1,9 @@
-// Node recorder: topics into a bag, as `rosbag record -e` does, for less of the processor, and whatever
-// happens to the disk and to the clock.
+// Node recorder: records topics into a bag, as `rosbag record -e` does, but takes less processor time and
+// copes with failures of the disk and changes of the clock.
 //
-// rosbag hands every message from the thread that received it to one that spins, to one that writes: three
-// threads are woken a thousand times a second for a flight. Here the thread that received a message puts it
-// into a chunk of the bag, and another one writes full chunks a few times a second.
+// rosbag passes every message from the receiving thread to the spinning thread to the writing thread: in a
+// flight, three threads are woken a thousand times a second. Here the receiving thread puts the message into
+// a chunk of the bag, and another thread writes full chunks a few times a second.
 
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/callback_queue_interface.h>
@@ -39,13 +39,13 @@ namespace data_extraction {
 namespace {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;          // it is never set
-using Header = boost::shared_ptr<ros::M_string>;  // of a connection, by which its messages know it
+using Clock = std::chrono::steady_clock;          // never set back
+using Header = boost::shared_ptr<ros::M_string>;  // of a connection, shared by its messages
 
 constexpr std::size_t kMegabyte = 1u << 20;
-// A chunk is as large as those of rosbag: small enough to be read as a whole, so large that its index is
-// little. One that fills slowly is written after a second all the same: so much is lost if this process is
-// killed.
+// A chunk is as large as those of rosbag: small enough to be read as a whole, large enough that its index is
+// small in comparison. A chunk that fills slowly is written after a second anyway: only that second is lost
+// if this process is killed.
 constexpr std::size_t kChunkBytes = 768u << 10;
 constexpr auto kChunkPeriod = std::chrono::seconds(1);
 constexpr auto kWritePeriod = std::chrono::milliseconds(250);  // how often full chunks are written
@@ -65,7 +65,7 @@ std::string time_text(std::time_t time) {
   return text;
 }
 
-// 0 for what is not a number.
+// 0 if the text is not a number.
 double number_of(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
@@ -89,7 +89,7 @@ std::string why_no_pattern(const std::string& text) try {
   return "'" + text + "' is not a regular expression: " + error.what();
 }
 
-// Throws CLI::Error; app knows the help afterwards.
+// Throws CLI::Error; afterwards `app` can print the help.
 Options parse(CLI::App& app, const std::vector<std::string>& arguments) {
   Options options;
   fs::path file, prefix;
@@ -120,7 +120,7 @@ Options parse(CLI::App& app, const std::vector<std::string>& arguments) {
   return options;
 }
 
-// roscpp's log ends when its shutdown begins, and the last words come later.
+// roscpp stops logging when its shutdown begins; the final messages come later.
 void say(bool good, const std::string& text) {
   if (ros::isShuttingDown()) {
     std::cerr << "recorder: " << text << std::endl;
@@ -131,7 +131,7 @@ void say(bool good, const std::string& text) {
   }
 }
 
-// An earlier file of this name keeps what it holds, under a name with its time. Throws fs::filesystem_error.
+// Renames an earlier file of this name: adds its modification time to the name. Throws fs::filesystem_error.
 void set_aside(const std::string& name, const std::string& suffix) {
   struct stat status;
   if (::stat((name + suffix).c_str(), &status) != 0) {
@@ -146,8 +146,8 @@ void set_aside(const std::string& name, const std::string& suffix) {
   say(true, name + suffix + " was there already: it is now called " + other);
 }
 
-// The name of a bag while it is being written, as rosbag has it; its folder is made. What a killed recorder
-// left there is set aside. Throws std::system_error when another recorder is writing it.
+// Name of the bag while it is being written, as in rosbag. Makes its folder and renames a file that a killed
+// recorder left there. Throws std::system_error when another recorder is writing it.
 std::string active_name(const std::string& name) {
   fs::create_directories(fs::absolute(name).parent_path());
   const std::string suffix = ".bag.active";
@@ -162,15 +162,15 @@ std::string active_name(const std::string& name) {
 class AtOnce : public ros::CallbackQueueInterface {
  public:
   void addCallback(const ros::CallbackInterfacePtr& callback, uint64_t) override {
-    while (callback->call() == ros::CallbackInterface::TryAgain) {  // another thread is in it
+    while (callback->call() == ros::CallbackInterface::TryAgain) {  // another thread is running it
       std::this_thread::yield();
     }
   }
   void removeByID(uint64_t) override {}
 };
 
-// Messages of whatever type, as their bytes. topic_tools::ShapeShifter holds type, MD5 sum and definition
-// besides, copied for every message; the connection has them.
+// Messages of any type, as raw bytes. topic_tools::ShapeShifter also copies type, MD5 sum and definition for
+// every message; the connection has them already.
 class Raw : public ros::SubscriptionCallbackHelper {
  public:
   using Take = std::function<void(const std::string&, ros::Time received, const Header&)>;
@@ -199,8 +199,8 @@ class Recorder {
     diagnostics_.add("recorder", this, &Recorder::diagnose);
   }
 
-  // The bag is complete or given up by now. roscpp's threads and the watcher use what is here: they end
-  // first. That may take long, where the master is out of reach.
+  // By now the bag is complete or abandoned. Ends roscpp's threads and the watcher first, since they use the
+  // members. That may take long when the master cannot be reached.
   ~Recorder() {
     stop_taking();
     ros::shutdown();
@@ -209,7 +209,7 @@ class Recorder {
     }
   }
 
-  // Records until shutdown, or until the bag can be written no longer. Returns whether all is in the bag.
+  // Records until shutdown, or until the bag can no longer be written. Returns whether all is in the bag.
   bool run() {
     std::string trouble;
     try {
@@ -231,19 +231,18 @@ class Recorder {
   }
 
  private:
-  struct Source {  // of messages: a topic that is subscribed to
+  struct Source {  // a subscribed topic
     std::string topic;
-    ros::Duration period;  // lets one pass a period
+    ros::Duration period;  // records at most one message per period
     ros::Time last = ros::TIME_MAX;
     std::map<Header, std::uint32_t> connections{};  // by address, which is fast
   };
   struct Seen {  // a topic that the master knows
     std::string type;
-    ros::Subscriber subscriber;  // none where it is not wanted
+    ros::Subscriber subscriber;  // none if the topic is not recorded
   };
 
-  // Asks the master for topics again and again: in a thread of its own, since the answer may be long in
-  // coming.
+  // Asks the master for topics periodically, in a thread of its own, since the answer may take long.
   void watch() {
     std::unique_lock<std::mutex> lock(mutex_);
     while (!over_) {
@@ -267,8 +266,7 @@ class Recorder {
       if (seen.type == topic.datatype) {
         continue;
       }
-      // A subscriber takes the first type that it gets and no other: where the type changes, a new one is
-      // needed.
+      // A subscriber keeps the first type that it receives: when the type changes, a new one is needed.
       seen = Seen{topic.datatype, {}};
       const auto matches = [&](const std::regex& pattern) { return std::regex_match(topic.name, pattern); };
       try {
@@ -298,7 +296,7 @@ class Recorder {
   void take(Source& source, const std::string& message, ros::Time received, const Header& header) {
     received = std::max(received, ros::TIME_MIN);  // a bag has no time 0
     const std::lock_guard<std::mutex> lock(mutex_);
-    // where the clock was set back, a new period begins
+    // if the clock was set back, a new period begins
     if (over_ || (source.last <= received && received < source.last + source.period)) {
       return;
     }
@@ -339,14 +337,14 @@ class Recorder {
     over_changed_.notify_all();
   }
 
-  // Writes chunks that are full now, and with `cut` the one that fills, too. Throws std::system_error.
+  // Writes the full chunks and, with `cut`, also the one that is being filled. Throws std::system_error.
   void write_chunks(bool cut) {
     std::unique_lock<std::mutex> lock(mutex_);
     if (cut && filling_.messages() != 0) {
       cut_chunk();
     }
     for (std::size_t left = full_.size(); left != 0; --left) {
-      const Chunk& chunk = full_.front();  // stays where it is while others are added
+      const Chunk& chunk = full_.front();  // its address stays valid while others are added
       lock.unlock();
       bag_.write(chunk);
       lock.lock();
@@ -354,7 +352,7 @@ class Recorder {
       full_.pop_front();
     }
     const std::size_t dropped = dropped_;
-    lock.unlock();  // a log on the same slow disk must not hold up what arrives
+    lock.unlock();  // logging to the same slow disk must not block arriving messages
     if (dropped != 0) {
       ROS_WARN_THROTTLE(kLogPeriodS, "the disk is too slow: %zu messages were not recorded so far", dropped);
     }
@@ -379,7 +377,7 @@ class Recorder {
     return good;
   }
 
-  // What is in the bag and what is not, in words.
+  // Text: how many messages are in the bag and how many are not.
   std::string recorded() const {
     const std::size_t lost = taken_ - bag_.messages();
     std::ostringstream text;
@@ -413,7 +411,7 @@ class Recorder {
   AtOnce at_once_;
   std::thread watcher_;
 
-  // Touched by the watcher's thread only, and after its end.
+  // Used by the watcher's thread only, and after its end.
   std::map<std::string, Seen> seen_;  // by topic
   diagnostic_updater::Updater diagnostics_;
 
@@ -438,13 +436,12 @@ void on_terminate(int) {
 int main(int argc, char** argv) {
   using namespace data_extraction;
   ros::init(argc, argv, "recorder");
-  // roscpp handles SIGINT. Process managers send SIGTERM, a terminal that closes SIGHUP (nohup says: ignore
-  // it).
+  // roscpp handles SIGINT. Process managers send SIGTERM, a closing terminal SIGHUP (ignored under nohup).
   std::signal(SIGTERM, on_terminate);
   if (std::signal(SIGHUP, on_terminate) == SIG_IGN) {
     std::signal(SIGHUP, SIG_IGN);
   }
-  std::signal(SIGXFSZ, SIG_IGN);  // a file that is as large as it may be is an error of the write
+  std::signal(SIGXFSZ, SIG_IGN);  // reaching the file size limit becomes an error of the write
   CLI::App app("Topics into a bag, as `rosbag record -e` does.", "recorder");
   Options options;
   try {
@@ -456,7 +453,7 @@ int main(int argc, char** argv) {
     ROS_FATAL_STREAM(error.what() << "\n" << app.help());
     return 1;
   }
-  ros::NodeHandle node;  // outlives the recorder: with the last node handle the logging ends too
+  ros::NodeHandle node;  // outlives the recorder: logging ends with the last node handle
   try {
     return Recorder(node, options).run() ? 0 : 1;
   } catch (const std::system_error& error) {

@@ -1,6 +1,6 @@
-"""A node for the recorder's tests: publishes what its standard input says, and answers with a line when it has.
+"""A node for the recorder's tests: publishes as told on standard input, and prints a line when it is done.
 
-Every line is a JSON object: {topics: {name: type}, count, hz}; if wanted also tag, size [bytes], latch, clock [s].
+Every line is a JSON object: {topics: {name: type}, count, hz}; optional: tag, size [bytes], latch, clock [s].
 """
 
 import json
@@ -29,7 +29,7 @@ class Talker:
         self._publishers = {}
 
     def publish(self, topics, count, hz=200.0, tag="", size=0, latch=False, clock=None):
-        """Publish `count` messages on each topic, beginning when each is listened to, unless it is latched."""
+        """Publish `count` messages on each topic. Begins when all have subscribers; at once if latched."""
         publishers = {topic: self._publisher(topic, get_message_class(kind), latch) for topic, kind in topics.items()}
         while True:
             if clock is not None:
@@ -46,7 +46,7 @@ class Talker:
 
     def _publisher(self, topic, kind, latch=False):
         if topic not in self._publishers:
-            # without a queue: what was published is in the socket
+            # no queue: publish() returns when the message is in the socket
             self._publishers[topic] = rospy.Publisher(topic, kind, latch=latch, queue_size=None, tcp_nodelay=True)
         return self._publishers[topic]
 

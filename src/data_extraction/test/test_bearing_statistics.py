@@ -43,7 +43,7 @@ FOCAL_PX = 600.0
 
 
 def pose(t_s):
-    """(x, y, z) [m] and yaw [deg] at a time: it sways, and its yaw swings across the seam at 180 degrees."""
+    """(x, y, z) [m] and yaw [deg] at a time: it sways, and its yaw swings across the wrap at 180 degrees."""
     t = t_s - T0_S
     yaw = 180.0 + 12.0 * np.sin(1.3 * t)
     return (0.3 * np.sin(0.9 * t), 0.2 * np.cos(0.7 * t), 1.1 + 0.1 * np.sin(t)), (yaw + 180.0) % 360.0 - 180.0
@@ -90,7 +90,7 @@ def lost(name):
 
 @pytest.fixture(scope="module")
 def bag_file(tmp_path_factory):
-    """20 s: risc1 sees the green landmark in every picture but each tenth, 60 ms late; a wrong one now and then."""
+    """20 s: risc1 sees the green landmark, 60 ms late, except in every tenth picture; a wrong one now and then."""
     path = tmp_path_factory.mktemp("bearings") / "flight.bag"
     random = np.random.default_rng(7)
     with rosbag.Bag(str(path), "w") as bag:
@@ -130,7 +130,7 @@ def statistics(path, delay_s, fleet=None):
 
 @pytest.fixture(scope="module")
 def result(bag_file):
-    """Statistics that know the delay."""
+    """Statistics with the known delay."""
     return statistics(bag_file, DELAY_S)
 
 

@@ -100,7 +100,7 @@ def test_latency_of_every_hop(flight):
 
 @pytest.mark.parametrize("count", [114, 135, 149, 40_000])
 def test_the_time_grid_ends_with_the_flight_and_does_not_drift(count):
-    """Stamps of today have seconds of ten digits, which leave a step of 5 ms few."""
+    """Present-day stamps have ten digits of seconds, which leaves few digits for a step of 5 ms."""
     t_s = 1.5e9 + np.array([k // 200 + 0.005 * (k % 200) for k in range(count)])
     zeros = np.zeros(count)
     series = Series(t_s, np.column_stack((t_s - t_s[0], zeros, zeros, zeros)))
@@ -126,7 +126,7 @@ def test_frames_that_are_lost_before_and_after_the_flight_do_not_count(tmp_path,
             now = rospy.Time.from_sec(t_s)
             if k % 41 == 0 and k // 41 < len(phases):
                 bag.write("/operator/phase", stamped(OperatorState(phase=phases[k // 41]), t_s), now)
-            if k == 3 and phases:  # of the flight before, kept for who listens since then
+            if k == 3 and phases:  # of the flight before, latched for later subscribers
                 before = stamped(OperatorState(result=OperatorResult.FAILED), T0_S - 9.0)
                 bag.write("/operator/result", before, now)
             if k == 101:

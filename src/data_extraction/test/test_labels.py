@@ -1,4 +1,4 @@
-"""Labelled pictures: boxes lie on what is in the picture, COCO is complete, and every unusable bag says why."""
+"""Labelled pictures: boxes lie on the objects, COCO is complete, and the errors of unusable bags give the reason."""
 
 import json
 import pathlib

@@ -58,13 +58,13 @@ class Lab:
         return process
 
     def run(self, *command):
-        """A program that ends by itself: its standard output."""
+        """Run a program to its end. Returns its standard output."""
         done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=PATIENCE_S)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
     def talker(self):
-        """A function that publishes (talker.py); wait=False: and does not wait until it has."""
+        """A function that publishes (talker.py); with wait=False it does not wait until that is done."""
         process = self._start(
             [sys.executable, str(HERE / "talker.py")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -78,7 +78,7 @@ class Lab:
         return publish
 
     def recorder(self, *arguments, disk=None, **options):
-        """A recorder, started; disk: environment variables of bad_disk.c."""
+        """Start a recorder. disk: environment variables of bad_disk.c."""
         environment = dict(self.environment)
         if disk:
             library = self.folder / "bad_disk.so"
@@ -98,7 +98,7 @@ def lab(tmp_path):
 
 
 def finish(recorder, number=signal.SIGINT):
-    """End it. Returns (exit code, what it said)."""
+    """End a recorder. Returns (exit code, its output)."""
     if number:
         recorder.send_signal(number)
     output, _ = recorder.communicate(timeout=PATIENCE_S)
@@ -118,7 +118,7 @@ def in_writing(path, *wanted):
 
 
 def counts(path):
-    """{messages recorded and not, together} of all recorders' diagnostics in the bag that is being written."""
+    """{sum of messages recorded and not recorded} by all recorders' diagnostics in the bag that is being written."""
     values = list(map(int, re.findall(rb"messages (?:not )?recorded.{4}(\d+)", written(path), re.DOTALL)))
     return set(map(sum, zip(values[::2], values[1::2])))
 
@@ -188,7 +188,7 @@ def test_every_message_is_recorded_byte_for_byte_in_order(lab, inputs):
 
 @contextlib.contextmanager
 def small_disk(kind, folder):
-    """(folder that takes ROOM bytes, options of the recorder's process)."""
+    """Context manager: (folder with room for ROOM bytes, options of the recorder's process)."""
     if kind == "file as large as it may be":
         limit = functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (ROOM, ROOM))
         yield folder, {"preexec_fn": limit}
@@ -352,7 +352,7 @@ def test_a_clock_that_is_set_back_stops_nothing(lab):
 
 
 def test_what_waits_for_a_slow_disk_is_bounded_and_what_is_left_out_is_counted(lab):
-    """Small messages, of which what is around the text takes more room than the text."""
+    """Small messages, whose overhead is larger than their text."""
     count = 40000
     path, told, stuck = lab.folder / "flight.bag", lab.folder / "told.bag", lab.folder / "stuck"
     recorder = lab.recorder("-b", "1", "-O", str(path), "/a", disk={"BAD_DISK_WHILE": str(stuck)})
@@ -414,7 +414,7 @@ def test_a_topic_may_change_its_type(lab):
 
 
 def test_what_it_says_itself_is_recorded_too(lab):
-    """Its own messages go no way over a socket."""
+    """Its own messages do not go over a socket."""
     path = lab.folder / "flight.bag"
     recorder = lab.recorder("-O", str(path), "/diagnostics")
     wait_for(path, "messages not recorded")

@@ -1,4 +1,4 @@
-"""What the report collects from a bag: each collector, from bags of a few messages with known answers."""
+"""The report's collectors: each one with bags of a few messages and known answers."""
 
 import json
 import math
@@ -67,7 +67,7 @@ BRIDGE = CvBridge()
 
 @pytest.fixture
 def play(tmp_path):
-    """Writes (topic, message, time [s]) into a bag and feeds it to a collector; a list is fed as it comes."""
+    """Function that writes (topic, message, time [s]) rows into a bag and feeds the bag to a collector."""
 
     def run(collector, rows):
         path = tmp_path / "some.bag"
@@ -136,9 +136,9 @@ def test_a_gap_of_the_stream_is_counted(play):
     assert drops.gaps == 1 and drops.longest_gap_s == pytest.approx(0.4, abs=1e-6)
 
 
-@pytest.mark.parametrize("late_s", [0.004, 500.0])  # 500: the stamps are of a clock of their own
+@pytest.mark.parametrize("late_s", [0.004, 500.0])  # 500: the stamps are from another clock
 def test_what_is_lost_at_the_end_is_lost_until_then(tmp_path, late_s):
-    """When the cameras fall silent the estimator says so once, with the stamp of the last frame."""
+    """When the frames stop, the estimator publishes that once, with the stamp of the last frame."""
     path = tmp_path / "silent.bag"
     seen, lost = (Cortex(Obj=[States(name="Raven", visible=visible)]) for visible in (True, False))
     with rosbag.Bag(str(path), "w") as bag:
@@ -152,7 +152,7 @@ def test_what_is_lost_at_the_end_is_lost_until_then(tmp_path, late_s):
     with Bag(path) as bag:
         for message in bag.messages():
             collector(*message)
-    for _ in range(2):  # asking changes nothing
+    for _ in range(2):  # result() changes nothing
         drops = collector.result(T0_S + late_s + 5.005)
         assert drops.vehicles["Raven"].longest_s == pytest.approx(5.0, abs=1e-6)
         assert drops.gaps == 1
@@ -209,7 +209,7 @@ def test_the_fence_is_that_of_the_flights_parameters(play):
 
 
 def fence_limits(folder, rows):
-    """{vehicle: limit [m] of its distance from the net, None when its type is unknown} that a report has."""
+    """{vehicle: limit [m] of its distance from the net in a report, None if its type is unknown}."""
     with rosbag.Bag(str(folder / "flight.bag"), "w") as bag:
         for topic, message, t_s in rows:
             bag.write(topic, message, rospy.Time.from_sec(t_s))
@@ -446,7 +446,7 @@ def test_the_picture_with_most_found_in_it_is_taken_whichever_came_first(play):
     rows = []
     for k in range(30):
         rows += [picture(T0_S + 0.1 * k, 100), regions(T0_S + 0.1 * k, *(["a"] if k != 14 else ["a", "b"]))]
-    rows = [row for row in rows if row[0] != "/land_rois" or row[2] < T0_S + 2.0]  # nothing looked at the last third
+    rows = [row for row in rows if row[0] != "/land_rois" or row[2] < T0_S + 2.0]  # the last third was not evaluated
     collector = SnapshotCollector({"/risc1/ardrone/image_rect_color": "sensor_msgs/msg/Image"}, T0_S, 3.0)
     snapshots = play(collector, rows).result(0.0)
     assert collector.notes == []
@@ -671,7 +671,7 @@ def test_a_fault_that_changes_nothing_is_completed(play):
 
 
 def test_what_the_operator_said_of_the_flight_before_is_of_that_one(play):
-    """His last words are kept for a recorder that starts between two flights."""
+    """The operator's last messages are latched, so a recorder that starts between two flights gets them."""
     over = {"phase": OperatorPhase.ABORTED, "result": OperatorResult.FAILED, "on_course": True}
     old = OperatorState(**over, out=[VehicleOut("risc2", OutCause.LADDER, "landed")])
     old.header.stamp = at(-30.0)
@@ -684,7 +684,7 @@ def test_what_the_operator_said_of_the_flight_before_is_of_that_one(play):
 def test_the_reaction_is_the_first_command_of_a_higher_level(play):
     faults = flown(
         play,
-        sent(2.0, Safety.HOLD),  # before it, and it had ended
+        sent(2.0, Safety.HOLD),  # before the fault, and already over
         sent(2.1, Safety.OK),
         told(fault(1, 3.0), t_s=3.0),
         sent(3.05, Safety.OK),
@@ -709,7 +709,7 @@ def heard(t_s, order, vehicle="risc1"):
 
 
 def test_so_is_the_first_order_to_hover_or_to_land_that_the_vehicle_hears(play):
-    """Of who is between the ladder and the vehicle, when the ladder's program has died."""
+    """The order comes from a program between the ladder and the vehicle, when the ladder's program has died."""
     faults = flown(
         play,
         heard(0.5, Told.LAND),

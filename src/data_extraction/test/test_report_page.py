@@ -1,4 +1,4 @@
-"""The report as a page: complete for a whole flight, plain about a poor bag, valid, and nothing but itself."""
+"""The report as a page: complete for a whole flight, clear about what a poor bag lacks, valid, self-contained."""
 
 import html.parser
 import json
@@ -56,7 +56,7 @@ from risc_msgs.msg import (
 )
 
 T0_S = 1000.0
-EVERY = 4  # frame of the 200 Hz: what a page says of them is the same, and it is made four times as fast
+EVERY = 4  # only each fourth frame of the 200 Hz: the page says the same, and is made four times as fast
 NAN = float("nan")
 NAMES = ("fluffy_II", "albatross")
 SECTIONS = (
@@ -68,7 +68,7 @@ VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 
 class Page(html.parser.HTMLParser):
-    """Checks that tags are balanced, and keeps what the tests ask for."""
+    """Checks that tags are balanced, and keeps what the tests need."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
@@ -123,8 +123,8 @@ def circle(t_s, index):
 
 
 def full_rows(every=1):
-    """20 s of two vehicles with everything that a cooperative experiment in the virtual lab records. every: one of so
-    many frames (a divisor of 20), where the rate is not what is tested.
+    """20 s of two vehicles with everything that a cooperative experiment in the virtual lab records. every: only each
+    frame of this number (a divisor of 20), for tests in which the rate does not matter.
     """
     bridge = CvBridge()
     picture = bridge.cv2_to_compressed_imgmsg(np.full((90, 160, 3), 90, np.uint8), "jpg")
@@ -351,7 +351,7 @@ def test_a_bag_from_when_phases_were_text_is_read_without_them(tmp_path):
     ],
 )
 def test_numbers_that_are_none_stop_no_report(tmp_path, topic, begin_s):
-    """From a time on, or ever, x of a vehicle is NaN though it is said to be visible."""
+    """From begin_s on, x of a vehicle is NaN although it is marked visible."""
     rows = list(full_rows(5))
     for t_s, name, message in rows:
         for item in message.Obj if name == topic and t_s >= begin_s else ():
@@ -376,7 +376,7 @@ def test_the_fence_of_a_vehicle_of_unknown_type_has_no_limit(tmp_path):
 
 
 def test_what_was_not_judged_is_not_said_to_be(tmp_path):
-    """The only vehicle with a reference was never seen while it had one."""
+    """The only vehicle with a reference was never visible while it had one."""
     rows = [row for row in full_rows(5) if row[1] == "/cortex_raw" and row[0] < 5.0]
     rows += [row for row in full_rows(5) if row[1] == "/trajectory" and row[0] > 6.0]
     write_bag(tmp_path / "apart.bag", rows)
@@ -442,7 +442,7 @@ def test_wrong_use_is_one_clear_line(full, tmp_path, capsys, arguments, message)
 
 
 def test_a_pdf_without_its_program_is_one_clear_line(short, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "weasyprint", None)  # what Python does for a module that is not there
+    monkeypatch.setitem(sys.modules, "weasyprint", None)  # Python then raises ImportError, as for a missing module
     assert main([str(short), "--pdf"]) == 1
     assert INSTALL in capsys.readouterr().err
     assert (tmp_path / "report.html").exists()

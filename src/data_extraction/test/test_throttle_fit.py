@@ -31,7 +31,7 @@ def true_throttle(pct):
 
 
 def flight(until_pct=35.0, from_pct=100.0, noise=1.0, whole_percents=True, seed=1):
-    """(states, throttle, battery) as `hover_points` takes them: bobs and sways, and is told the throttle for it."""
+    """(states, throttle, battery) as `hover_points` takes them, of a vehicle that bobs and sways by that throttle."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, LIFE_S * (from_pct - until_pct) / 100.0, 0.005)
     pct = from_pct - 100.0 * t_s / LIFE_S
@@ -47,7 +47,7 @@ def flight(until_pct=35.0, from_pct=100.0, noise=1.0, whole_percents=True, seed=
 
 
 def worst(found):
-    """How far the curve is from the true one where it was flown, as a part of what that spans."""
+    """Greatest error of the curve where it was flown, as a fraction of the span of the true one."""
     pct = np.linspace(found.points.pct[0], found.points.pct[-1], 200)
     return np.abs(found.scaled(pct) - true_throttle(pct)).max() / np.ptp(true_throttle(pct))
 
@@ -61,7 +61,7 @@ def test_the_curve_of_a_known_flight_comes_back(noise, whole_percents):
 
 
 def test_tilt_and_acceleration_count():
-    """Without them the throttle of the same flight is that of another vehicle."""
+    """Without them the throttle of the same flight gives a wrong curve."""
     states, throttle, battery = flight(noise=0.0)
     level = states.copy()
     level[:, 4] = 0.0
@@ -96,7 +96,7 @@ def test_what_is_no_hover_counts_not():
     thrown[half:, 2] += 0.3 * np.sign(np.cos(np.pi * states[half:, 0]))  # in the middle of each window
     silent = throttle[throttle[:, 0] < states[half, 0]]
     untold = battery[battery[:, 0] < states[half, 0]]
-    carried = throttle.copy()  # about the room, disarmed
+    carried = throttle.copy()  # carried through the room, disarmed
     carried[carried[:, 0] >= states[half, 0], 1] = -1.0
     for told in (
         (low, throttle, battery),
@@ -108,7 +108,7 @@ def test_what_is_no_hover_counts_not():
         (states, throttle, untold),
     ):
         assert hover_points(*told, FitParams()).seconds.sum() == pytest.approx(everything.seconds.sum() / 2.0, abs=8.0)
-    unseen = np.delete(states, slice(half, None, 20), axis=0)  # a frame now and then does not count as lost
+    unseen = np.delete(states, slice(half, None, 20), axis=0)  # single missing frames do not count as a loss
     assert hover_points(unseen, throttle, battery, FitParams()).seconds.sum() == everything.seconds.sum()
 
 
@@ -171,7 +171,7 @@ def test_bags_of_the_original_have_no_namespace(tmp_path):
         ({"without": ("/cortex_raw",)}, "no /cortex_raw .*/iris1/controls"),
         ({"without": ("/iris1/controls",)}, "no NAMESPACE/controls .*record.launch"),
         ({"without": ("/iris1/vehicle_status",)}, "no NAMESPACE/vehicle_status"),
-        ({"own": "/controls"}, "no NAMESPACE/controls"),  # what a controller wants is not what an IRIS+ was sent
+        ({"own": "/controls"}, "no NAMESPACE/controls"),  # a controller's wish is not what was sent to an IRIS+
         ({"charge": "/risc1/vehicle_status"}, "BATT_MONITOR"),
     ],
 )

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The course's plots, live, or from the bag that is its argument. See data_extraction.course_plots."""
+"""The course's plots, live or from a bag given as argument. See data_extraction.course_plots."""
 
 import contextlib
 import math
@@ -26,11 +26,11 @@ from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.ros.node import Health
 
 _COUNTED = STATES, REFERENCES, COMMANDS  # on /diagnostics
-_LOOK_S = 1.0  # how often the main thread looks whether there is something to draw, or an end
+_LOOK_S = 1.0  # how often the main thread checks for something to draw, and for shutdown
 
 
 class DFPlots:
-    """/cortex_raw, /trajectory, /controls -> files of what is over; a button or ~plot asks for what is under way."""
+    """/cortex_raw, /trajectory, /controls -> files of ended segments; a button or ~plot also asks for current ones."""
 
     def __init__(self):
         fleet = fleet_vehicles()
@@ -53,7 +53,7 @@ class DFPlots:
         rospy.Service("~plot", Trigger, lambda _request: TriggerResponse(*self._plot()))
         joysticks = params.joysticks or ["joy"] + ["/%s/joy" % vehicle.namespace for vehicle in fleet]
         for topic in sorted(set(map(rospy.resolve_name, joysticks))):
-            # Of any age: plots move nothing, and a bag that is played is old.
+            # Of any age: plots move no vehicle, and messages of a played bag are old.
             presses = ButtonPresses((params.plot_button,), math.inf)
             rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)
         for topic, kind in ((PHASES, TrajectoryPhases), (OPERATOR, OperatorState), (SENT, CommandsSent)):
@@ -63,7 +63,7 @@ class DFPlots:
         rospy.loginfo("plots go to %s: those of the course under way on button %d", self._folder, params.plot_button)
 
     def run(self):
-        """Until the node ends: draw here, not in the joystick's thread, what is over or was asked for."""
+        """Until the node ends, draw ended and requested segments: here, not in the joystick's thread."""
         drawn = 0
         while not rospy.is_shutdown():
             asked = self._wanted.wait(_LOOK_S)
@@ -91,7 +91,7 @@ class DFPlots:
             self._wanted.set()
 
     def _plot(self, growing=True):
-        """Write what is new. Returns (whether there is anything, what was done in words)."""
+        """Write new files. Returns (whether there are segments, text of the result)."""
         with self._drawing:
             with self._lock:
                 segments = self._recorder.segments(growing)

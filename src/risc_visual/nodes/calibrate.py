@@ -12,7 +12,7 @@ from risc_lab.lab.calibration import save_calibration
 from risc_visual.vision.checkerboard import MIN_VIEWS, Checkerboard, View, calibrate, find_board, shown_board
 from risc_visual.vision.picture_source import open_pictures
 
-_HINT_PICTURES = 12  # in which some other board is looked for when the right one is nowhere
+_HINT_PICTURES = 12  # pictures that are searched for another board when the right one is in none
 
 
 def find_views(source, count, pictures, board):
@@ -58,7 +58,7 @@ def _too_few(found, count, sample, board):
 
 
 def report(result, source, found, count, all_views):
-    """Print what came out."""
+    """Print the result."""
     calibration = result.calibration
     values = dict(zip(("fx", "fy", "cx", "cy"), (calibration.K[i] for i in (0, 4, 2, 5))))
     values.update(zip(("k1", "k2", "p1", "p2", "k3"), calibration.D))
@@ -79,7 +79,7 @@ def report(result, source, found, count, all_views):
 
 
 def show_progress(text):
-    """A line that the next one overwrites."""
+    """Print a line that the next one overwrites."""
     if sys.stderr.isatty():
         print("\r\033[K%s" % text, end="", file=sys.stderr, flush=True)
 

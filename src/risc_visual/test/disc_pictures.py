@@ -1,4 +1,4 @@
-"""Pictures of landmark discs for tests, by the rays of sub-pixels; nothing of the detector is used."""
+"""Pictures of landmark discs for tests, drawn by rays of sub-pixels; no code of the detector is used."""
 
 import math
 
@@ -31,7 +31,7 @@ def wall(size=(640, 360), grey=110.0):
 
 
 def paint_disc(picture, eye, name, pixel, distance_m, tilt_deg=0.0, towards_deg=0.0, kinds=None):
-    """Draw a landmark whose centre is seen at a pixel, turned out of the line of sight; the picture is drawn on.
+    """Draw a landmark into a picture (in place): its centre is at a pixel, its normal tilted from the line of sight.
 
     picture: (h, w, 3) float BGR. Returns the pixel, as the truth. kinds: name -> (centre, ring), default KINDS.
     """

@@ -75,7 +75,7 @@ def rays():
 
 
 def path(ns="traj_line", seconds=2.0):
-    """What was sent last of the path of the second of two vehicles."""
+    """The newest markers of the path of the second of two vehicles."""
     params = TrajectoryParams()
     drawing = PathDrawing(ns, markers.GREEN, markers.DESIRED_M, 40.0, params, Index(("a", "b")))
     for k in range(int(seconds * params.rate_hz)):

@@ -1,4 +1,4 @@
-"""What a browser does with the page of the browser view, without drawing: for tests that need no browser."""
+"""A client for the page of the browser view that does not draw: for tests without a browser."""
 
 import contextlib
 import threading
@@ -26,12 +26,12 @@ _LENGTHS = 16  # [bytes] of the two lengths before the compressed part
 
 
 class PageClient:
-    """A page that is open: the nodes of the scene, the texts and the buttons of the panel."""
+    """An open page: the nodes of the scene, the texts and the buttons of the panel."""
 
     def __init__(self, port, origin=None):
         """origin: address of the page that connects, as a browser tells it."""
         self.nodes = {}  # path -> type of the message that made it
-        self.made = {}  # the same, of those that are gone, too
+        self.made = {}  # as nodes, with those that are gone
         self.messages = 0
         self.kinds = set()  # types of all messages
         self._texts, self._buttons, self._inputs = {}, {}, {}  # uuid -> content; label -> uuid, of both
@@ -47,11 +47,11 @@ class PageClient:
         self._thread.start()
 
     def text(self):
-        """HTML of the panel."""
+        """Return the HTML of the panel."""
         return "".join(dict(self._texts).values())
 
     def labels(self):
-        """What is written on the buttons."""
+        """Labels of the buttons."""
         return set(self._buttons)
 
     def press(self, label):
@@ -63,11 +63,11 @@ class PageClient:
         self._send({"type": "GuiUpdateMessage", "uuid": self._inputs[label], "updates": {"value": value}})
 
     def ask_for_tunnel(self):
-        """As the share button of viser's page, which ours does not have."""
+        """Send what the share button of viser's page sends; our page has none."""
         self._send({"type": "ShareUrlRequest"})
 
     def close(self):
-        """As closing the tab."""
+        """Disconnect, as by closing the tab."""
         self._socket.close()
         self._thread.join()
 
@@ -75,7 +75,7 @@ class PageClient:
         self._socket.send(msgspec.msgpack.encode(message))
 
     def _listen(self):
-        with contextlib.suppress(ConnectionClosedError):  # it was cut off
+        with contextlib.suppress(ConnectionClosedError):  # the server closed the connection
             for window in self._socket:
                 length = int.from_bytes(window[8:_LENGTHS], "little")
                 content = zstandard.ZstdDecompressor().decompress(window[_LENGTHS : _LENGTHS + length])
@@ -108,7 +108,7 @@ class PageClient:
 
 
 def wait_for(condition, what, patience_s=60.0):
-    """Until the condition holds; `what` may be a text, or called for one."""
+    """Wait until the condition holds. what: a text for the error, or a function that returns it."""
     deadline = time.monotonic() + patience_s
     while not condition():
         assert time.monotonic() < deadline, "never came: %s" % (what() if callable(what) else what)

@@ -1,4 +1,4 @@
-"""Programs of the package as a user starts them."""
+"""Run programs of the package as a user does."""
 
 import os
 import subprocess

@@ -28,15 +28,15 @@ PACKAGE = "risc_visual"
 NAME = "df_plots"
 NODE = "/data_logger"
 BUTTON = 2  # /plot_button of the test file
-PATIENCE_S = 100.0  # a page takes a second of a computer that has the time
+PATIENCE_S = 100.0  # a page takes a second on an idle computer
 wait_for = partial(wait_for, limit_s=PATIENCE_S)
 RATE_HZ = 200.0
-LATE_S = 0.05  # the vehicle is where it should have been so long ago
+LATE_S = 0.05  # the vehicle is behind its reference by this time
 SPEED_M_S = 0.5
 
 
 class Flight:
-    """A vehicle on a circle, always the same time late; whatever else it publishes is for the test to say."""
+    """A vehicle on a circle, behind its reference by LATE_S; the test triggers everything else that it publishes."""
 
     def __init__(self):
         self.flying = threading.Event()
@@ -122,7 +122,7 @@ class DFPlotsTest(unittest.TestCase):
         time.sleep(4.0)
         self.flight.press()
         wait_for(lambda: self.files("circle", ".png"), "a page of the circle")
-        self.plot()  # answers when nothing is being written
+        self.plot()  # answers after everything has been written
         (picture,) = self.files("circle", ".png")
         image = cv2.imread(str(picture))
         self.assertGreater(image.shape[1], 1000)
@@ -134,7 +134,7 @@ class DFPlotsTest(unittest.TestCase):
         self.assertLess(len(rows), 25.0 * duration_s + 10.0, "20 Hz, not the 200 of the topic")
         chord_m = 2.0 * math.sin(0.5 * SPEED_M_S * LATE_S)
         for row in rows:
-            # Both topics are looked at 20 times a second, at other moments: paired by stamps the error is still exact.
+            # Both topics are sampled 20 times a second, at different times: paired by stamps the error is still exact.
             error_m = [row[axis + "_desired_m"] - row[axis + "_m"] for axis in "xyz"]
             self.assertAlmostEqual(math.hypot(*error_m[:2]), chord_m, delta=2e-3)
             self.assertAlmostEqual(error_m[2], 0.0)

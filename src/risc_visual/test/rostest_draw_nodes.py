@@ -53,7 +53,7 @@ INPUTS = {
     "/angles": Observed_angles,
     "/waypoints": Waypoints,
 }
-TUNER = "/transform_tuner/"  # topics of a node that draws by itself
+TUNER = "/transform_tuner/"  # topics of a node that is not among the drawing nodes
 
 
 def displays():
@@ -107,7 +107,7 @@ class DrawNodesTest(unittest.TestCase):
     def fly(self, seconds, visible=True):
         """Two vehicles at 200 Hz: fluffy_II flies a circle as it should, Raven is 0.8 m beside its reference.
 
-        Returns how long it took [s]: a computer without time is late.
+        Returns how long it took [s], which is longer on a busy computer.
         """
         start_s = time.monotonic()
         for k in range(int(200 * seconds)):
@@ -146,7 +146,7 @@ class DrawNodesTest(unittest.TestCase):
         wanted = {topic: "visualization_msgs/" + kind.split("/")[1] for kind, topic in displays()}
         deadline_s = time.monotonic() + PATIENCE_S
         offered = {}
-        # A node subscribes before it advertises its last topic: connected inputs do not mean that all outputs stand.
+        # A node subscribes before it advertises its last topic: connected inputs do not mean that all outputs exist.
         while not wanted.items() <= offered.items() and time.monotonic() < deadline_s:
             offered = dict(rospy.get_published_topics())
             time.sleep(0.05)
@@ -173,7 +173,7 @@ class DrawNodesTest(unittest.TestCase):
         elapsed_s = self.fly(3.0)
         elapsed_s += self.fly_until(lambda: all(len(self.taken(topic)) > 8 for topic in moving), "8 drawings each")
         counts = {topic: len(self.taken(topic)) for topic in moving}
-        # A loaded computer draws less often; what matters is that 200 Hz never comes through.
+        # A busy computer draws less often; what matters is that the output never has 200 Hz.
         for topic in moving:
             self.assertLess(counts[topic], 30.0 * elapsed_s + 10.0, topic)  # 25 Hz, and what a stall held back before
         self.fly_until(lambda: all(map(self.taken, still)), "what stands still")
@@ -194,7 +194,7 @@ class DrawNodesTest(unittest.TestCase):
 
         self.fly_until(lambda: max(lines("/Quad_trajectory", "quad_line"), default=0) > 10, "a path flown")
         self.fly_until(lambda: lines("/desired_trajectory", "traj_line"), "a path to be flown")
-        # In a stall fluffy_II, too, can be far from its reference for a moment.
+        # In a stall fluffy_II can also be far from its reference for a moment.
         self.fly_until(
             lambda: {m.text for m in self.latest("/desired_trajectory") if m.ns == "traj_name"} == {"Raven"},
             "the name of the one that is not at its reference",
@@ -207,7 +207,7 @@ class DrawNodesTest(unittest.TestCase):
             ("/Battery_Status", "battery_status", "Raven: 60%"),
         ):
             self.fly_until(lambda topic=topic, wanted={ns: text}: self.texts(topic) == wanted, text)
-        for vehicle in ("risc1", "risc2"):  # a bag of the original release; risc2 has told its status already
+        for vehicle in ("risc1", "risc2"):  # as in a bag of the original release; risc2 has sent its status already
             self.publishers["/%s/ardrone/navdata" % vehicle].publish(Navdata(batteryPercent=40.0))
         batteries = {"fluffy_II: 40%", "Raven: 60%"}
         self.fly_until(lambda: {m.text for found in self.taken("/Battery_Status") for m in found} == batteries, "both")
@@ -333,7 +333,7 @@ class DrawNodesTest(unittest.TestCase):
         self.clear()
         self.fly_until(lambda: all(map(self.taken, topics[:4])), "any drawing")
         deadline_s = time.monotonic() + PATIENCE_S
-        while any(map(self.taken, topics)):  # what was still under way; then nothing for a second
+        while any(map(self.taken, topics)):  # messages that were still under way; then none for a second
             self.assertLess(time.monotonic(), deadline_s, "it draws on and on")
             self.clear()
             time.sleep(1.0)

@@ -200,7 +200,7 @@ class LandmarkNodesTest(unittest.TestCase):
 
     def test_5_the_overlay_is_drawn_for_listeners_only(self):
         message = self.message(self.picture)
-        self.answer("risc2", message)  # no subscriber: nothing but this answer
+        self.answer("risc2", message)  # without a subscriber there is only this answer
         drawn = []
         listener = rospy.Subscriber("/risc2/ardrone/image_modi", Image, self.keep, drawn, queue_size=5)
         deadline_s = time.monotonic() + PATIENCE_S
@@ -276,7 +276,7 @@ class LandmarkNodesTest(unittest.TestCase):
                 self.assertFalse(item.partial)
 
     def test_7_old_pictures_are_dropped(self):
-        """A burst that is faster than the work: the last one is answered, and not all of the others before it."""
+        """A burst that is faster than the detector: the last picture is answered, but not all before it."""
         large = cv2.resize(self.picture, (2560, 1440), interpolation=cv2.INTER_LINEAR)
         burst = rospy.Publisher("/risc1/ardrone/image_rect_color", Image, queue_size=60)
         self.wait(lambda: burst.get_num_connections() >= 2, "connections of the burst")

@@ -45,7 +45,7 @@ from risc_visual.drawing.scenery import load_scenery
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "live_view"
 RED = (1.0, 0.0, 0.0, 1.0)
-NO_COLOUR = (1e30, 0.0, 0.0, 1.0)  # no error of the message, but no number that a picture could hold
+NO_COLOUR = (1e30, 0.0, 0.0, 1.0)  # valid in a message, but too large for the number format of a picture
 LIFE_S = 2.0
 OUTPUTS = {
     "net": MarkerArray,
@@ -118,7 +118,7 @@ class LiveViewTest(unittest.TestCase):
         return page
 
     def draw(self, page, *parts):
-        """Publish markers again and again, as drawing nodes do, until the page has had them; they expire afterwards."""
+        """Publish markers repeatedly, as drawing nodes do, until the page has received them; they expire afterwards."""
         wanted = {"/Quad_Markers/%s/%d" % (part.ns, part.id) for part in parts if part.ns != "bad"}
 
         def drawn():
@@ -257,7 +257,7 @@ class LiveViewTest(unittest.TestCase):
         page.enter("fault", "wind")
         wait_for(lambda: "it blows" in page.text(), page.text)
         page.enter("argument", "9")
-        offer.publish(FaultKinds(kinds=kinds))  # what comes twice changes nothing
+        offer.publish(FaultKinds(kinds=kinds))  # a repeated message changes nothing
         page.press("inject")
         wait_for(lambda: 'class="bad">&lt;answer&gt; to wind' in page.text(), page.text)
         page.enter("argument", "gale")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The template nodes on the wire: a photograph that moves goes in, and what each one is for comes out."""
+"""The template nodes on the wire: a moving photograph goes in, and each node's result comes out."""
 
 import pathlib
 import shutil
@@ -34,7 +34,7 @@ BRIDGE = CvBridge()
 
 
 class Results:
-    """Listens to a topic as long as it is used."""
+    """Context manager: listens to a topic."""
 
     def __init__(self, topic, kind=Image):
         self._messages = []
@@ -54,7 +54,7 @@ class Results:
             self._condition.notify_all()
 
     def wait_for(self, fits=lambda _: True, what="anything"):
-        """The first message from now on that fits."""
+        """Wait for the first message from now on that fits; return it."""
         begin, found = len(self._messages), []
 
         def there():
@@ -103,7 +103,7 @@ class TemplateNodesTest(unittest.TestCase):
         cls.log = Results("/rosout", Log)
         cls.encoding = "bgr8"
         cls.last_x = 0  # how far to the right the newest picture is shifted
-        cls.tick, cls.every = 0, 1  # of the timer; a picture comes every so many of them
+        cls.tick, cls.every = 0, 1  # ticks of the timer; a picture is sent at each of this number of ticks
         cls.timer = rospy.Timer(rospy.Duration(1.0 / RATE_HZ), cls.send)
         cls.step = 0
 
@@ -180,7 +180,7 @@ class TemplateNodesTest(unittest.TestCase):
             self.assertAlmostEqual(columns.max(), 200, delta=2)
 
     def test_4_optical_flow(self):
-        type(self).every = 4  # so slowly that no node leaves one out: the next has moved further then
+        type(self).every = 4  # slow enough that no node skips a picture, which would increase the motion
         self.addCleanup(setattr, type(self), "every", 1)
         with Results("/camera/flow") as flows, Results("/camera/dense") as dense:
             Client("/dense_flow", timeout=PATIENCE_S).update_configuration({"on_edges": False, "levels": 3})

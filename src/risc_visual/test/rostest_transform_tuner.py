@@ -84,7 +84,7 @@ class TransformTunerTest(unittest.TestCase):
 
     @classmethod
     def fly(cls):
-        start_s, k = rospy.get_time(), 0  # stamps keep their schedule, whatever time this computer has
+        start_s, k = rospy.get_time(), 0  # stamps keep their schedule, even on a slow computer
         while not cls.over.wait(max(0.0, start_s + k / RATE_HZ - rospy.get_time())):
             message = Cortex(Obj=[flying(k / RATE_HZ), States(name="albatross", visible=True, z=1.0)])
             message.header.stamp = rospy.Time.from_sec(start_s + k / RATE_HZ)
@@ -142,8 +142,8 @@ class TransformTunerTest(unittest.TestCase):
         )
 
     def drag(self, mount):
-        """Hold the handles beside it until the frames follow, as a hand does (the first second of handles is nobody's),
-        then there: all that was sent before has come by then.
+        """Drag the handles to a mount, as a person does: hold them beside it until the frames follow, since the tuner
+        ignores the first second of handles; then move them there. All earlier messages have arrived by then.
         """
         x_m, *rest = mount.position_m
         beside = self.handles(replace(mount, position_m=(x_m + 0.05, *rest)))
@@ -157,13 +157,13 @@ class TransformTunerTest(unittest.TestCase):
 
     @staticmethod
     def handles(mount):
-        """What rviz says of handles that are held at a mount."""
+        """Message of rviz about handles that are held at a mount."""
         message = InteractiveMarkerFeedback(client_id="a person", marker_name="risc1", pose=pose_of(mount))
         message.event_type = InteractiveMarkerFeedback.POSE_UPDATE
         return message
 
     def follows(self, message):
-        """Say once more where the handles are. Whether the frames are there."""
+        """Send the position of the handles again. Returns whether the frames are there."""
         self.feedback.publish(message)
         wanted = numbers_from_pose(message.pose)
         return np.allclose(self.tf_numbers(), [wanted[key] for key in NUMBERS], atol=1e-6)
@@ -187,7 +187,7 @@ class TransformTunerTest(unittest.TestCase):
         self.until_everywhere(slid)
         self.sliders.update_configuration({"x": math.nan})
         self.until_everywhere(slid)
-        # who comes later, in a process of its own: within one, rospy shares the first subscriber's connection
+        # a late subscriber, in a process of its own: within a process, rospy shares the first subscriber's connection
         echo = ["rostopic", "echo", "-n", "1", "/tf_static"]
         late = subprocess.run(echo, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout
         frames = {item["child_frame_id"]: item["transform"] for item in next(yaml.safe_load_all(late))["transforms"]}
@@ -226,7 +226,7 @@ class TransformTunerTest(unittest.TestCase):
         place, angles = np.split(np.array(self.tf_numbers()), 2)
         R = rotation_camera_to_body(CameraMount(tuple(place), *np.radians(angles)))
         turn = Rotation.from_matrix(R.T @ rotation_camera_to_body(true)).magnitude()
-        # a short flight: three of the standard deviations that the answer names
+        # three of the standard deviations that the answer gives for this short flight
         self.assertLess(math.degrees(turn), 0.5, answer.message)
         self.assertLess(np.linalg.norm(place - true.position_m), 0.025, answer.message)
         answer = self.call("risc1/check")
@@ -245,8 +245,8 @@ class TransformTunerTest(unittest.TestCase):
         self.drag(FRONT_MOUNT)
         self.assertTrue(self.call("risc1/reset").success)
         self.until(lambda: np.allclose(self.tf_numbers(), saved, atol=1e-6), "what was saved")
-        self.drag(FRONT_MOUNT)  # the tuner shows something else again
-        # under the tuner's name, whose place it takes
+        self.drag(FRONT_MOUNT)  # the tuner shows another mount again
+        # it has the tuner's name, so it replaces the tuner
         with subprocess.Popen(["rosrun", "risc_control", "transforms"]) as transforms:
             try:
                 self.until(

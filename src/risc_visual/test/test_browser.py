@@ -1,4 +1,4 @@
-"""The server of the page, also what it uses of viser and websockets that may move, and its panel.
+"""The server of the page and its panel; also the internals of viser and websockets that it uses, which may change.
 
 The page in a browser: tests/test_live_view.py.
 """
@@ -60,7 +60,7 @@ def test_an_address_of_another_computer_is_told():
 
 
 def test_two_buttons_pressed_at_once_land_both(server):
-    """Each is carried out in a thread of its own, later than it was pressed."""
+    """Each press is carried out later, in a thread of its own."""
     landed = []
     BrowserPanel(server, ["risc1", "risc2"], lambda: landed.append("all"), landed.append)
     page = PageClient(server.get_port())
@@ -84,7 +84,7 @@ def test_pages_of_others_are_refused(server, origin):
 
 
 def test_a_name_that_was_made_to_lead_here_is_refused(server):
-    """DNS rebinding: a page of evil.example, whose name leads to this computer now. Origin and Host agree."""
+    """DNS rebinding: a page of evil.example, whose name now resolves to this computer. Origin and Host agree."""
     host = "evil.example:%d" % server.get_port()
     for headers in ({"Host": host, "Origin": "http://" + host}, {"Host": host}):
         request = urllib.request.Request("http://127.0.0.1:%d/" % server.get_port(), headers=headers)
@@ -105,7 +105,7 @@ def test_names_of_others_are_not(host):
 
 
 def is_served(port, source="127.0.0.1"):
-    """Whether who connects from a loopback address gets the page."""
+    """Whether a client that connects from this loopback address gets the page."""
     with contextlib.suppress(ConnectionError):
         with socket.create_connection(("127.0.0.1", port), 20.0, source_address=(source, 0)) as sock:
             sock.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
@@ -115,7 +115,7 @@ def is_served(port, source="127.0.0.1"):
 
 @pytest.fixture
 def guarded(monkeypatch):
-    """open(guests) -> (port, Strangers); loopback addresses are no better than others, as a computer has no more."""
+    """open(guests) -> (port, Strangers). Loopback addresses are not trusted here: they stand for other computers."""
     with contextlib.ExitStack() as stack:
 
         def open_guarded(*guests):
@@ -137,7 +137,7 @@ def test_only_guests_and_this_computer_get_the_page(guarded):
 
 @pytest.mark.parametrize("is_limited", [True, False])
 def test_who_keeps_connections_open_keeps_nobody_out(guarded, monkeypatch, is_limited):
-    """A guest opens many and says nothing on them, or a little (slow loris). The control arm has no limit for one."""
+    """A guest opens many and sends nothing or little on them (slow loris). Control arm: no limit for one address."""
     if not is_limited:
         monkeypatch.setattr(page_server, "MAX_OF_ONE_ADDRESS", 1000)
     port, strangers = guarded("127.0.0.0/8")
@@ -169,7 +169,7 @@ def test_nobody_fills_the_memory_with_a_file(takes_files):
         page._send({"type": "FileTransferStartUpload", **whose, **text})
         for index in range(10):
             page._send({"type": "FileTransferPart", **whose, "part_index": index, "content": bytes(100_000)})
-        page.press("press")  # which comes behind all of it
+        page.press("press")  # it comes after all of the data
         wait_for(lambda: pressed, "the click")
         kept = [state["transferred_bytes"] for state in opened.gui._current_file_upload_states.values()]
         assert (sum(kept) > 0) is takes_files

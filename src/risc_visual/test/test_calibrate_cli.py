@@ -23,7 +23,7 @@ run = functools.partial(run_program, NODE)
 
 
 def error_of(folder, *arguments):
-    """The one line that it says before it gives up; nothing is written."""
+    """The one line of its error; asserts that nothing is written."""
     done = run(folder, *arguments)
     assert done.returncode == 1 and done.stdout == "", done.stdout + done.stderr
     assert done.stderr.startswith("calibrate.py: ") and done.stderr.count("\n") == 1, done.stderr

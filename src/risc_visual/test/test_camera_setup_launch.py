@@ -19,7 +19,7 @@ FLEET, VEHICLE = LAUNCH / "fleets" / "ardrones3.yaml", LAUNCH / "vehicle.launch"
 def load(file_name, *arguments):
     """({node name: node}, {parameter: value}) that a launch file makes."""
     config = roslaunch.config.ROSLaunchConfig()
-    path = str(PACKAGE / "launch" / file_name)  # an absolute one stays what it is
+    path = str(PACKAGE / "launch" / file_name)  # an absolute path stays as it is
     roslaunch.xmlloader.XmlLoader().load(path, config, argv=list(arguments), verbose=False)
     nodes = {node.namespace + node.name: node for node in config.nodes}
     params = {name: param.value for name, param in config.params.items()}

@@ -16,7 +16,7 @@ NAMES = ("fluffy_II", "albatross", "Raven", "Kahn", "Condor", "IRIS")
 
 
 def drawn(positions_m, **more):
-    """What draw_cortex, draw_risc_maap and draw_trajectories publish of vehicles at these positions."""
+    """The markers of draw_cortex, draw_risc_maap and draw_trajectories for vehicles at these positions."""
     found = everything(dict(zip(NAMES, positions_m)), **{"tip": False, **more})
     found = {"/" + topic: content for topic, content in found.items() if topic != "angle_lines"}
     text = "risc1: 0.14 deg (1.4 px) RMS of 180 bearings"
@@ -67,7 +67,7 @@ def test_mode_and_battery_of_a_laboratory_without_a_fleet_are_those_of_its_vehic
 
 
 def test_what_is_written_stays_in_its_box():
-    """The boxes are those of the letters: pixels outside of them, of marks and of lines to far names do not change."""
+    """Only pixels in the boxes of texts, in marks, and in lines to distant names change."""
     scene = np.zeros((600, scene_size((800, 600))[0], 3), dtype=np.uint8)
     names = [
         Name("fluffy_II", (200.0, 300.0), (40.0, 20.0), (1.0, 1.0, 1.0), vehicle=True),

@@ -1,4 +1,4 @@
-"""Who is drawn, where, and as what."""
+"""Which vehicles are drawn, where, and with which airframe."""
 
 from types import SimpleNamespace
 

@@ -45,7 +45,7 @@ def seeded_views(name, count, seed, noise_px=0.05, max_tilt_deg=55.0):
 
 
 def views_of(*arguments, **options):
-    """The same, in a list of the caller's own."""
+    """As `seeded_views`, with a new list of the views for each caller."""
     views, camera = seeded_views(*arguments, **options)
     return list(views), camera
 
@@ -79,7 +79,7 @@ def test_the_projection_is_that_of_camera_calibration():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_strongly_distorting_lens_does_not_trap_the_solver(seed):
-    """OpenCV by itself stops at errors of pixels here, for at least one of the seeds: see the next test."""
+    """OpenCV alone ends with errors of pixels here, for at least one of the seeds: see the next test."""
     views, camera = views_of("risc1.yaml", 40, seed)
     result = calibrate(views, BOARD, SIZE_PX)
     assert result.rms_px < 0.1 and result.dropped == ()
@@ -87,7 +87,7 @@ def test_a_strongly_distorting_lens_does_not_trap_the_solver(seed):
 
 
 def test_one_start_of_opencv_is_not_enough():
-    """Why calibrate() starts more than once. If this fails, OpenCV has become better and that may go."""
+    """Why calibrate() starts more than once. If this fails, OpenCV has become better and one start is enough."""
 
     def found_px(seed):
         views, _ = views_of("risc1.yaml", 40, seed)

@@ -1,4 +1,4 @@
-"""What draw_cortex makes of messages; and that a fleet of fifty is drawn with ids that never change hands."""
+"""What draw_cortex draws from messages; and that in a fleet of fifty each vehicle keeps its ids."""
 
 import random
 import time
@@ -102,7 +102,7 @@ def test_the_failsafe_level_stands_at_the_vehicle_and_in_its_line():
 
 @pytest.mark.parametrize("later_s, text", [(1.4, "vehicle_1: HOLD"), (1.6, "vehicle_1"), (-60.0, "vehicle_1")])
 def test_the_level_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
-    """By the clock of ROS alone: a bag may be played slowly, or from the beginning."""
+    """Only ROS time counts: a bag may be played slowly, or from the beginning."""
     scene = drawing([vehicle(1)], status_hz=2.0)
     scene.note_safety(0, Verdict(FailsafeLevel.HOLD, "state 120 ms old"))
     scene.mode(HEAD, 0, "vehicle_1", True)

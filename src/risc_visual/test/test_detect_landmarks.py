@@ -20,7 +20,7 @@ PROGRAM = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "detect_landma
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """run(arguments, folder): (exit code, output, errors), in this process, with a master that is not there."""
+    """run(arguments, folder): (exit code, output, errors), in this process, with an unreachable master."""
 
     def run_it(*arguments, folder):
         monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")

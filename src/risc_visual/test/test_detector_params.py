@@ -1,4 +1,4 @@
-"""Settings of risc_landmarks and quad_tracker: mistakes are named; and what their messages hold."""
+"""Settings of risc_landmarks and quad_tracker: errors name the wrong value; and the contents of their messages."""
 
 from types import SimpleNamespace
 

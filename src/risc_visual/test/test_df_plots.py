@@ -40,7 +40,7 @@ LEGACY_PARAMS = PlotParams(skip_phases=())
 
 
 def path_m(t_s):
-    """Desired position: straight and accelerated, so that what is between two samples is known."""
+    """Desired position: straight and accelerated, so that positions between two samples are known."""
     return 0.3 * t_s - 1.0, 0.2 * t_s, 1.0 + 0.01 * t_s
 
 
@@ -83,7 +83,7 @@ def test_the_sixteen_columns_are_those_of_the_flight():
     (segment,) = recorder.segments()
     assert len(COLUMNS) == 16 and segment.table.shape[1] == 16
     t_s = column(segment, "time_s") - T0_S
-    assert len(t_s) > 480 and t_s[0] < 0.03  # references before the first state say nothing: whose are they?
+    assert len(t_s) > 480 and t_s[0] < 0.03  # references before the first state are not used: their vehicle is unknown
     # every desired position is that of the state's own time, and each axis has its own column (D-54)
     assert segment.columns(DESIRED_POSITION) == pytest.approx(np.column_stack(path_m(t_s) + ()), abs=1e-6)
     assert segment.columns(POSITION)[:, 2] == pytest.approx(path_m(t_s)[2], abs=1e-6)
@@ -112,7 +112,7 @@ def test_what_was_really_sent_counts_before_the_controllers_wish():
 
 
 def test_commands_that_ended_in_the_segment_before():
-    """What they leave behind is forgotten with that segment: the next one has none, and is logged all the same."""
+    """Their remaining data ends with that segment: the next one has no commands, and is logged nevertheless."""
     recorder = Recorder(LEGACY_PARAMS)
     recorder.add(PHASES, T0_S, told("coop", TrajectoryPhase.COURSE))
     fly(recorder, 0.0, 3.0)
@@ -279,7 +279,7 @@ def see_none(name, t_s):
 @pytest.mark.parametrize("see", [state, see_none], ids=["states without references", "references without sight"])
 @pytest.mark.parametrize("begin_s", [0.0, 3.5], ids=["from the begin", "after a segment"])
 def test_what_finds_no_partner_does_not_fill_the_memory(see, begin_s):
-    """A vehicle that stands about for a day, or that is lost, beside one that flies."""
+    """A vehicle that stands still for a day, or that is lost, beside one that flies."""
     recorder = Recorder(PlotParams(max_s=2.0))
     fly(recorder, 0.0, begin_s)
     kept = []

@@ -7,7 +7,7 @@ from risc_visual.browser.landing import ask_all
 
 
 class Told:
-    """What was told, in its order."""
+    """The reports, in order."""
 
     def __init__(self):
         self.all = []
@@ -26,7 +26,7 @@ class Told:
 
 
 def test_all_are_asked_at_the_same_time():
-    meeting = threading.Barrier(3, timeout=20.0)  # none passes before all have come
+    meeting = threading.Barrier(3, timeout=20.0)  # no thread passes before all three are there
     told = Told()
 
     def question(name):

@@ -17,7 +17,7 @@ CONFIG = load_landmarks()
 
 
 def content():
-    """Of a file that has everything: the detector's settings and landmarks of its own."""
+    """Content of a file with everything: the detector's settings and its own landmarks."""
     files = package_file("risc_visual", "config/landmark_detector.yaml"), landmarks_file()
     return {key: value for file in files for key, value in yaml.safe_load(file.read_text(encoding="utf-8")).items()}
 

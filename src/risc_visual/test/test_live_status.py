@@ -1,4 +1,4 @@
-"""risc_visual.browser.live_status: what the panel says, with a clock that the test turns."""
+"""risc_visual.browser.live_status: the texts of the panel, with a simulated clock."""
 
 import math
 import re
@@ -19,7 +19,7 @@ Refusals = namedtuple("Refusals", "reasons")  # as a TakeoffRefusals
 
 
 class Panel:
-    """The panel of two vehicles of which everything is heard, except what the test cuts off."""
+    """The panel of two vehicles that receives everything, except what the test cuts off."""
 
     def __init__(self):
         self.status = LiveStatus([Vehicle("risc1", "fluffy_II", 0), Vehicle("risc2", "albatross", 1)])
@@ -42,11 +42,11 @@ class Panel:
         return ET.fromstring(self.status.html(self.now_s, "20:14:05"))
 
     def text(self):
-        """All that is to be read, vehicles first."""
+        """All visible text, vehicles first."""
         return " ".join("".join(self.tree().itertext()).split())
 
     def vehicle(self, number):
-        """What is to be read of one vehicle."""
+        """Visible text of one vehicle."""
         block = [item for item in self.tree() if item.get("class") == "vehicle"][number]
         return " | ".join(text.strip() for text in block.itertext() if text.strip())
 
@@ -188,7 +188,7 @@ def test_a_state_without_a_name():
 
 
 def test_the_page_says_by_itself_that_it_is_old():
-    """Its animation ends in view; every new text of the panel restarts it."""
+    """The note's animation ends with the note visible; every new text of the panel restarts it."""
     panel = Panel().hear()
     assert [" 3 s" in text for text in panel.told_as("page-old")] == [True]
     assert re.search(r"page-old \{[^}]*hidden;[^}]*animation: [^;}]* %gs" % PAGE_OLD_S, PAGE_STYLE)

@@ -1,4 +1,4 @@
-"""risc_visual.browser.marker_scene: what a page shows of the markers that come in. The test turns the clock."""
+"""risc_visual.browser.marker_scene: what a page shows of incoming markers. The clock is simulated."""
 
 import copy
 import functools
@@ -53,7 +53,7 @@ class View:
         return self.scene.note(topic, copy.deepcopy(markers), self.now_s)
 
     def turn(self, seconds=0.1):
-        """Some time passes; returns how much has changed."""
+        """Advance the clock and draw; returns how much has changed."""
         self.now_s += seconds
         return self.scene.draw(self.now_s, lambda frame, stamp: self.frames.get((frame, stamp.to_sec())))
 
@@ -223,7 +223,7 @@ def test_clearing_leaves_nothing_but_the_floor(view):
 
 
 def test_any_course_of_events_shows_what_rviz_would(view):
-    """Against the plain rule: a marker is where it was said last, unless it was deleted or has expired."""
+    """Against the simple rule: a marker is at its last pose, unless it was deleted or has expired."""
     rng = np.random.default_rng(4)
     plain = {}
     for _ in range(200):
@@ -349,7 +349,7 @@ def test_opacity(view):
 
 
 def test_a_faint_wall_is_a_net(view):
-    """A transparent box hides for three.js what is behind it and drawn after it."""
+    """In three.js a transparent box hides what is behind it if that is drawn later."""
     lines = net_of_sheet((0.02, 2.0, 1.0))
     assert lines.shape == (3 + 5, 2, 3)
     assert np.abs(lines).max(axis=(0, 1)).tolist() == [0.0, 1.0, 0.5]

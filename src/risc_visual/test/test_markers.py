@@ -1,4 +1,4 @@
-"""What rviz is told: legacy names and colours, unique and stable ids, lifetimes, numbers that rviz accepts."""
+"""Markers for rviz: legacy names and colours, unique and stable ids, lifetimes, numbers that rviz accepts."""
 
 import io
 import math
@@ -22,7 +22,7 @@ def test_every_marker_is_one_that_rviz_accepts(topic):
     assert len({(m.ns, m.id) for m in found}) == len(found)
     for m in found:
         assert m.header.frame_id == "cortex" and m.action == Marker.ADD and m.ns
-        assert m.lifetime.to_sec() > 0.0  # what is not sent any more vanishes
+        assert m.lifetime.to_sec() > 0.0  # markers that are not sent any more vanish
         turn = m.pose.orientation
         assert math.hypot(turn.x, turn.y, turn.z, turn.w) == pytest.approx(1.0)
         rgba = (m.color.r, m.color.g, m.color.b, m.color.a)

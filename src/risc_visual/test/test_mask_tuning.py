@@ -1,4 +1,4 @@
-"""Tuning of a paint's thresholds, and their way into the landmarks file."""
+"""Tuning of a paint's thresholds, and saving them in the landmarks file."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""Tuning a mount: what is done and said; the file; the sliders' ends; the handles' axes."""
+"""Tuning a mount: actions and answers; the file; the sliders' limits; the handles' axes."""
 
 import itertools
 import math
@@ -31,7 +31,7 @@ def vehicle_with(path):
 
 
 def fill(tuner, duration_s=30.0, mount=TRUE, moving=True):
-    """Bearings as a camera at this mount has them, without noise, of a vehicle that flies about."""
+    """Feed the tuner the bearings of a camera at this mount, without noise, while the vehicle moves."""
     tuner.window.see_landmarks(PLACES)
     for k in range(int(50 * duration_s)):
         t_s = k / 50.0 if moving else 0.0
@@ -134,12 +134,12 @@ def test_save_needs_a_file_that_the_fleet_names_and_that_can_be_written(tmp_path
     path = tmp_path / "mount.yaml"
     tuner = MountTuner(vehicle_with(path))
     before = path.read_bytes()
-    (tmp_path / ("mount.yaml.%d" % os.getpid())).mkdir()  # what it would write first cannot be written
+    (tmp_path / ("mount.yaml.%d" % os.getpid())).mkdir()  # its temporary file cannot be written
     tuner.change({"x": 0.5})
     done, text = tuner.save()
     assert not done and str(path) in text
     assert path.read_bytes() == before
-    (tmp_path / "folder.yaml" / "full").mkdir(parents=True)  # what cannot be replaced in the end
+    (tmp_path / "folder.yaml" / "full").mkdir(parents=True)  # the final file cannot be replaced
     tuner = MountTuner(replace(VEHICLE, camera_mount=str(tmp_path / "folder.yaml")), TunerParams(nominal=True))
     done, text = tuner.save()
     assert not done and "folder.yaml" in text

@@ -1,4 +1,4 @@
-"""open_calibrator: becomes cameracalibrator.py in the system's Python, or says in one line what is missing."""
+"""open_calibrator: executes cameracalibrator.py in the system's Python, or says in one line what is missing."""
 
 import os
 import pathlib

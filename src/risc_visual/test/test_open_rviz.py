@@ -1,4 +1,4 @@
-"""open_rviz: becomes rviz, or says what is missing in one line."""
+"""open_rviz: executes rviz, or says in one line what is missing."""
 
 import os
 import pathlib

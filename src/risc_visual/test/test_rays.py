@@ -48,7 +48,7 @@ def test_every_ray_is_as_long_as_asked():
 
 
 def test_ray_in_the_camera_frame_of_tf_points_at_the_landmark():
-    """From a landmark's place over the bearing that a camera measures, back into cortex by the transforms of tf."""
+    """From a landmark's position to the bearing in a camera, and back into the cortex frame by the transforms of tf."""
     vehicle_m, euler_rad, landmark_m = np.array([0.4, -0.3, 1.2]), (0.1, -0.15, 0.7), np.array([1.9, -1.4, 1.6])
     mount = CameraMount((0.2, 0.01, 0.03), *np.radians((2.0, 5.0, -5.0)))
     R = rotation_body_to_cortex(*euler_rad)

@@ -24,7 +24,7 @@ def test_displays_are_told_apart_by_name_and_their_check_boxes_say_what_they_do(
 
 @pytest.mark.parametrize("name", FILES)
 def test_everything_is_in_the_frame_of_motion_capture_and_goes_stale(name):
-    """An Axes display stays where the frame was last; a TF display fades and vanishes."""
+    """An Axes display would stay where the frame was last; a TF display fades and vanishes."""
     content = manager(name)
     assert content["Global Options"]["Fixed Frame"] == "cortex"
     for display in content["Displays"]:

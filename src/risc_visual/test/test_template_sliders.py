@@ -1,4 +1,4 @@
-"""The sliders of template nodes and mask_tuner: their names, defaults and ranges fit the settings they move."""
+"""The sliders of template nodes and mask_tuner: names, defaults and ranges match the settings that they change."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The virtual screen: what a program draws is what the picture holds, and nothing is left running."""
+"""The virtual screen: a picture shows what a program has drawn, and nothing is left running."""
 
 import os
 import shutil
@@ -70,7 +70,7 @@ def test_screens_do_not_see_each_other():
 
 @pytest.fixture
 def own_display(tmp_path, monkeypatch):
-    """Xvfb takes a display that no other takes: the lowest free one is another test's as soon as it is given back."""
+    """Xvfb takes a display of its own: another test may take the lowest free one as soon as it is released."""
     program = tmp_path / "Xvfb"
     program.write_text('#!/bin/sh\nexec %s "$@" :%d\n' % (shutil.which("Xvfb"), 1000 + os.getpid() % 50000))
     program.chmod(0o755)
@@ -94,7 +94,7 @@ def test_everything_ends_with_the_screen():
 @needs_screen
 @pytest.mark.usefixtures("own_display")
 def test_everything_ends_with_whoever_opened_the_screen():
-    """Killed at once, not even interrupted."""
+    """Also if that is killed and cannot clean up."""
     script = """
 import time, psutil
 from risc_visual.pictures.virtual_screen import VirtualScreen

@@ -72,7 +72,7 @@ def flown(scene, begin_s, seconds=0.4):
 
 
 def told(**params):
-    """Drawing that knows since NOW_S of a waypoint of Kahn, the second of two vehicles."""
+    """Drawing that got a waypoint of Kahn, the second of two vehicles, at NOW_S."""
     scene = WaypointDrawing(WaypointParams(**params), ["Raven", "Kahn"])
     balls, arrows, labels = scene.waypoints(message(("Kahn", 0, 0, 1, 0)), NOW_S)
     assert [m.type for m in balls + arrows + labels] == [Marker.SPHERE, Marker.ARROW, Marker.TEXT_VIEW_FACING]
@@ -86,7 +86,7 @@ def test_only_who_has_a_waypoint_has_a_path():
 
 @pytest.mark.parametrize("later_s, paths", [(0.5, 1), (1.1, 0), (-60.0, 0)])
 def test_a_waypoint_that_is_not_sent_again_is_no_news(later_s, paths):
-    """By the clock of ROS alone: a bag may be played slowly, or from the beginning."""
+    """Only ROS time counts: a bag may be played slowly, or from the beginning."""
     scene = told(lifetime_s=1.0)
     assert len(flown(scene, NOW_S)) == 1
     assert len(flown(scene, NOW_S + later_s)) == paths

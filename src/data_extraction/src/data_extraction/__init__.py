@@ -1,1 +1,1 @@
-"""Bags become data: CSV files, flight metrics, plots and summaries. Needs no ROS."""
+"""Turns bags into data: CSV files, flight metrics, plots and summaries. Needs no ROS."""

@@ -1,4 +1,4 @@
-"""Reading bags: every problem with a bag is one BagError that names the cause and the cure."""
+"""Read bags: every problem with a bag is a BagError that names the cause and the remedy."""
 
 import contextlib
 import heapq
@@ -13,7 +13,7 @@ from rosbags.serde import SerdeError
 
 
 class BagError(ValueError):
-    """A bag that cannot be used, with cause and cure."""
+    """A bag cannot be used; the message names the cause and the remedy."""
 
 
 class Bag:
@@ -86,7 +86,7 @@ class Bag:
 
     @property
     def contents(self):
-        """What the bag has, for messages to people."""
+        """Text: the topics of the bag, for error messages."""
         return "it has " + (", ".join(sorted(self.topics)) or "no message")
 
 
@@ -98,7 +98,7 @@ class _ChunkReader(Reader):
     """
 
     def read_index_data(self, pos, indexes):
-        """Nothing to read: chunks say themselves what is in them, and `open` seeks to the next."""
+        """Read nothing: each chunk says itself what it holds, and `open` seeks to the next one."""
 
     def messages(self, connections=(), start=None, stop=None):
         """As Reader.messages: (connection, time [ns], raw message) in the order of time."""
@@ -120,7 +120,7 @@ class _ChunkReader(Reader):
             yield popped()
 
     def _records(self, info):
-        """(time [ns], connection's id, raw message) of one chunk, as they lie there."""
+        """(time [ns], connection's id, raw message) of one chunk, in the order of the file."""
         chunk = self.chunks[info.pos]
         self.bio.seek(chunk.datapos)
         data = chunk.decompressor(read_bytes(self.bio, chunk.datasize))

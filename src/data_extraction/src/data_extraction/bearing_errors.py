@@ -1,4 +1,4 @@
-"""Bearing errors: what the vehicles' cameras measured against where things really were."""
+"""Bearing errors: the bearings that the vehicles' cameras measured, compared with the true ones."""
 
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -17,11 +17,11 @@ from risc_lab.frames import wrap_angle
 ANGLES, DETECTIONS = "/angles", "/detections"
 GROUND_TRUTH, MOCAP_STATES = "/ground_truth", "/cortex_raw"
 GROSS_ERROR_DEG = 3.0  # more is a mistaken identity, not a measurement error
-LEAST_DIAMETER_PX = 14.0  # of a landmark's middle (or of a vehicle): what is smaller is not expected to be found
-WHOLE = 0.999  # fraction of an outline in the picture from which on it counts as fully seen
+LEAST_DIAMETER_PX = 14.0  # of a landmark's middle disc (or a vehicle): smaller ones are not expected to be found
+WHOLE = 0.999  # least fraction of an outline in the picture that counts as fully seen
 _DELAYS_S = np.linspace(-0.1, 0.4, 51)
-_DELAY_GAIN_DEG = 0.02  # delays that make no more difference to the errors than this cannot be told apart
-_LATE_S = 0.01  # stamps that are later than this are noted
+_DELAY_GAIN_DEG = 0.02  # if the RMS error varies less than this over the delays, none of them can be chosen
+_LATE_S = 0.01  # a larger difference from the assumed delay is noted
 
 
 class TargetBearings:
@@ -33,23 +33,23 @@ class TargetBearings:
         # of every detection: stamp [s], azimuth, elevation, their errors (measured less true) [deg], whether the object
         # was fully in the picture (1, else 0), error against covariance (see `_normalised`; NaN without one)
         self.rows = Samples(7)
-        self.in_view = 0  # pictures in which it was fully to be seen; 0 when the camera is not known
+        self.in_view = 0  # pictures in which it should have been fully visible; 0 when the camera is not known
         self.seen = 0  # of these, those in which it was found
-        self.out_of_view = 0  # detections while it was not to be seen at all: false alarms
+        self.out_of_view = 0  # detections while no part of it was in view: false alarms
 
     @property
     def judged(self):
-        """(n, 7) rows of the fully seen ones."""
+        """(n, 7) rows of the detections in which the object was fully seen."""
         table = self.rows.table()
         return table[table[:, 5] > 0.0]
 
     @property
     def judged_deg(self):
-        """(n, 2) errors of the fully seen ones."""
+        """(n, 2) azimuth and elevation errors [deg] of these detections."""
         return self.judged[:, 3:5]
 
     def figures(self):
-        """Numbers for the summary; None where there is nothing to tell."""
+        """Numbers for the summary; None where there are no data."""
         table, judged = self.rows.table(), self.judged
         errors, partial = judged[:, 3:5], table[table[:, 5] == 0.0, 3:5]
         gross = (np.abs(errors) > GROSS_ERROR_DEG).any(axis=1)
@@ -75,19 +75,19 @@ class TargetBearings:
 
 @dataclass
 class BearingStatistics:
-    """All bearings of a bag against the truth."""
+    """All bearings of a bag, compared with the truth."""
 
     truth: str  # "ground truth" or "mocap"
     landmarks_from: str  # "fleet" or "/states3"
-    delay_s: float  # that the stamps were corrected by
-    best_delay_s: float | None = None  # the correction that explains the errors best; None = cannot be told
+    delay_s: float  # correction that was subtracted from the stamps
+    best_delay_s: float | None = None  # the correction that explains the errors best; None = undetermined
     best_delay_rms_deg: float | None = None  # both angles, with that correction
     vehicles: dict[str, dict[str, TargetBearings]] = field(default_factory=dict)  # observer -> object -> bearings
     notes: list[str] = field(default_factory=list)
 
     @property
     def has_judged(self):
-        """Whether anything was fully seen, and hence has an error."""
+        """Whether any object was fully seen, so that there are errors."""
         return any(len(target.judged) for targets in self.vehicles.values() for target in targets.values())
 
     def figures(self):
@@ -110,12 +110,12 @@ class BearingCollector(Collector):
         self._surroundings = Surroundings(fleet, (GROUND_TRUTH, MOCAP_STATES))
         # observer, as on /angles -> stamp, index of the name, is a vehicle, visible, azimuth, elevation [deg]
         self._rows = defaultdict(lambda: Samples(6))
-        # the same -> stamp, index of the name, xx, xy, yy [px^2] of its detection
+        # observer -> stamp, index of the name, xx, xy, yy [px^2] of its detection
         self._covariances = defaultdict(lambda: Samples(5))
-        self._names = {}  # of objects, as on /angles -> index
+        self._names = {}  # object's name, as on /angles -> index
 
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
+        """Take one message; topics that are not needed are ignored."""
         if topic not in self.topics:
             self._surroundings(topic, receipt_s, message)
             return
@@ -133,7 +133,7 @@ class BearingCollector(Collector):
                     self._rows[entry.name].append((stamp_s, index, is_quad, angle.visible, angle.azim, angle.elev))
 
     def wants(self, topic):
-        """Whether messages of this topic say anything here."""
+        """Whether messages of this topic are used."""
         return super().wants(topic) or self._surroundings.wants(topic)
 
     def landmarks(self):
@@ -185,7 +185,7 @@ class BearingCollector(Collector):
             return name
 
     def _compare(self, name, vehicle, observer, discs, topic, delay_s, notes):
-        """{object: TargetBearings} of one vehicle's bearings, which are told by its name on /angles."""
+        """{object: TargetBearings} of the bearings of the vehicle that /angles calls `name`."""
         rows = self._rows[name].table()
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         covariances = {(stamp, index): px for stamp, index, *px in self._covariances[name].table().tolist()}
@@ -250,17 +250,17 @@ class BearingCollector(Collector):
             return None, None
         best_s, least, most = best_shift(rms_deg, _DELAYS_S)
         if not np.isfinite(least) or most - least < _DELAY_GAIN_DEG:
-            return None, None  # nothing moved, or nothing was right
+            return None, None  # nothing moved, or no bearing was right
         return round(best_s, 5), least
 
 
 def _normalised(angles_deg, error_deg, covariance_px, camera):
-    """Error against its covariance: e' C^-1 e / 2, 1 on average when C is right; NaN when that is not known."""
+    """Error against its covariance: e' C^-1 e / 2, 1 on average when C is right; NaN without covariance or camera."""
     if covariance_px is None or camera is None:
         return np.nan
     pixel = camera.pixels_of_bearings(*np.radians(angles_deg))
     ends = np.array(camera.bearings(pixel + 0.5 * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])))
-    slope = ends[:, ::2] - ends[:, 1::2]  # of azimuth and elevation by x and y
+    slope = ends[:, ::2] - ends[:, 1::2]  # derivatives of azimuth and elevation by x and y [rad/px]
     xx, xy, yy = covariance_px
     error = np.linalg.solve(slope, np.radians(error_deg))  # [px]
     return float(error @ np.linalg.solve(((xx, xy), (xy, yy)), error) / 2.0)

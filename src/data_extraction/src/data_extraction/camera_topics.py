@@ -1,4 +1,4 @@
-"""The cameras' topics of a bag, and outlines with names in their pictures."""
+"""Camera topics of a bag; outlines with names drawn into pictures."""
 
 import cv2
 import numpy as np
@@ -29,12 +29,12 @@ def one_topic_each(types):
 
 
 def is_bottom(message):
-    """Whether a picture or camera_info is of the bottom camera: both cameras share topics, the frame tells."""
+    """Whether a picture or camera_info is of the bottom camera: they share topics, so its frame_id decides."""
     return message.header.frame_id.endswith("bottomcam")
 
 
 def draw_outline(picture, outline_px, name, colour, bold=False):
-    """Draw the outline (n, 2) of a thing and its name into a BGR picture."""
+    """Draw the outline (n, 2) of an object and its name into a BGR picture."""
     width, bits, font, scale, halo, room_px = (
         (2, 0, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 5, 6) if bold else (1, 4, cv2.FONT_HERSHEY_PLAIN, 0.8, 3, 3)
     )

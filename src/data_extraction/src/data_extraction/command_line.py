@@ -1,4 +1,4 @@
-"""What the commands that read a bag have in common."""
+"""Common parts of the commands that read a bag."""
 
 import argparse
 import pathlib
@@ -8,7 +8,7 @@ from risc_lab.lab import load_fleet
 
 
 def bag_parser(prog, description, fleet=True, **options):
-    """ArgumentParser with the bag, the folder of the results and, unless it is of no use, the fleet file."""
+    """ArgumentParser with the bag, the folder of the results and, if `fleet`, the fleet file."""
     parser = argparse.ArgumentParser(prog=prog, description=description, **options)
     parser.add_argument("bag", type=pathlib.Path, metavar="BAG")
     parser.add_argument("-o", "--out", type=pathlib.Path, metavar="DIR", help="for the files (default: beside the bag)")
@@ -24,13 +24,13 @@ def folder_beside(bag_path, kind):
 
 
 def fleet_of(bag_path, fleet_path=None):
-    """The Fleet of a bag: of the file that is given, else of fleet.yaml beside it; None without. Raises ValueError."""
+    """Fleet of a bag: from the given file, else from fleet.yaml beside it; None without both. Raises ValueError."""
     beside = bag_path.parent / "fleet.yaml"
     return load_fleet(fleet_path or beside) if fleet_path or beside.exists() else None
 
 
 def run(prog, work):
-    """Carry out work(progress). Returns the exit code; whatever is wrong is one line."""
+    """Call work(progress). Returns the exit code; prints an error as one line."""
     progress = Progress()
     try:
         work(progress)

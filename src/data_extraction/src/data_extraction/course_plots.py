@@ -1,4 +1,4 @@
-"""The course's plots: a page and a table for each segment of a flight, under way or from its bag. Needs no ROS."""
+"""The course's plots: a page and a table for each segment of a flight, live or from its bag. Needs no ROS."""
 
 import csv
 import re
@@ -30,7 +30,7 @@ class PageWriter:
         self._written = {}  # path without suffix -> rows
 
     def write(self, segments):
-        """Write those that are new or have grown. Returns the list of files; tables come before the first page."""
+        """Write the segments that are new or have grown. Returns the list of files, tables before the first page."""
         new = {self.folder / file_stem(segment): segment for segment in segments}
         new = {path: segment for path, segment in new.items() if self._written.get(path) != len(segment.table)}
         self._written.update({path: len(segment.table) for path, segment in new.items()})
@@ -61,9 +61,9 @@ def write_table(segment, path):
 
 
 def record(bag, recorder, rate_hz, progress):
-    """Give an open Bag's messages to a Recorder; of the states `rate_hz` a second.
+    """Feed the messages of an open Bag to a Recorder, the states at most at `rate_hz` [Hz].
 
-    Raises BagError when the bag lacks a topic without which there is nothing to plot.
+    Raises BagError when the bag lacks a topic that the plots need.
     """
     missing = [topic for topic in (STATES, REFERENCES) if not bag.topics.get(topic)]
     if missing:

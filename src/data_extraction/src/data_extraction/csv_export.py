@@ -17,10 +17,10 @@ class _CsvTopic:
     def __init__(self, path):
         self.path, self.rows = path, 0
         self._flattener = Flattener()
-        self._columns = {"receipt": None}  # in their order; a field of that name takes its place
+        self._columns = {"receipt": None}  # in order; a field of the same name replaces it
         self._header = []  # as it was written with the first row
-        self._newest = None  # columns of the newest row,
-        self._stamp, self._in_order = None, True  # the place of its stamp, and whether they are the file's first ones
+        self._newest = None  # columns of the newest row
+        self._stamp, self._in_order = None, True  # index of its stamp; whether its columns are the first of the file
         self._file = path.open("w", newline="", encoding="utf-8")
         self._writer = csv.writer(self._file)
 
@@ -68,7 +68,7 @@ def export(bag, folder, topics=None, on_message=None):
     """Write the topics of an open Bag (all by default) as CSV files. Returns {topic: (path, rows)}.
 
     The first column is the time of receipt [s]. on_message: called as on_message(topic, receipt_s, message) for each
-    message, so that one pass can serve more. Raises BagError, from `Bag`.
+    message, so that one pass over the bag can serve other purposes too. Raises BagError, from `Bag`.
     """
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

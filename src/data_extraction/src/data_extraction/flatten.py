@@ -7,8 +7,8 @@ import numpy as np
 
 _SCALARS, _ARRAYS = {bool, int, float, str}, (list, tuple, np.ndarray)
 _TIME = ("sec", "nanosec")
-_MOST_NUMBERS = 64  # of bytes: more are binary
-_MOST_SHAPES = 256  # remembered of the messages of a topic
+_MOST_NUMBERS = 64  # a longer array of bytes counts as binary
+_MOST_SHAPES = 256  # sets of columns that are remembered per topic
 
 
 class Flattener:
@@ -17,20 +17,20 @@ class Flattener:
     - `header` gives the columns `stamp` [s], `seq`, `frame_id`; other times and durations become seconds;
     - nested fields are joined with dots: `linear.x`;
     - an element of an array that has a name is called by it: `fluffy_II.x`, so that columns stay in place when the
-      order of `Obj[]` changes; a name that occurs twice in one array gets its index: `fluffy_II[1].x`; one that another
-      array of the same message has taken already gets its own array's name: `quads.Raven.azim`;
+      order of `Obj[]` changes; a name that occurs twice in one array gets its index: `fluffy_II[1].x`; a name that an
+      earlier array of the message has used already gets the name of its own array: `quads.Raven.azim`;
     - elements without a name are numbered: `ranges[3]`;
     - binary arrays (images) become their length in bytes.
     """
 
     def __init__(self):
-        self._columns = {}  # {what the columns depend on: they}
+        self._columns = {}  # {key of `_add_values`: columns}
 
     def __call__(self, message):
         """(columns: tuple of str, values: list of the same length), in the order of the message's fields.
 
-        message: an object as the rosbags library deserialises it (a dataclass). Columns that are the same tuple as
-        before, the same object, are worked out once.
+        message: an object as the rosbags library deserialises it (a dataclass). For messages of
+        the same shape the columns are worked out once and are the same tuple object.
         """
         values, key = [], []
         _add_values(message, "", values, key)
@@ -53,8 +53,8 @@ def stamp_or_receipt_s(message, receipt_s):
 
 
 def _add_values(message, left_out, values, key):
-    """The values of a message to their list, in the order of `_columns`; to `key` what these depend on beside its type:
-    names and lengths. This runs for every message, `_columns` once for each key.
+    """Append the values of a message to `values`, in the order of `_columns`, and to `key` what its columns depend on
+    beside its type: names and lengths. This runs for every message, `_columns` once for each key.
     """
     for name in _names(type(message)):
         value = getattr(message, name)
@@ -129,8 +129,8 @@ def _items(array):
 
 @functools.cache
 def _names(kind):
-    """Names of a message's fields without its constants, which rosbags gives as fields that belong to the class; of
-    another type: None.
+    """Names of the fields of a message type, without its constants (rosbags makes them class variables); None for
+    other types.
     """
     if not dataclasses.is_dataclass(kind):
         return None

@@ -1,4 +1,4 @@
-"""What a bag says about a flight: tracking errors, lag, latency of every hop, frames lost."""
+"""Metrics of a flight from its bag: tracking errors, lag, latency of every hop, frames lost."""
 
 import math
 from collections import defaultdict
@@ -23,8 +23,8 @@ GRID_HZ = 200.0
 MOST_ROWS = 360_000  # of one vehicle's positions: half an hour at 200 Hz; longer bags are thinned out evenly
 PATH_ROWS = 5000  # of a path that is only drawn
 
-# The hops, in their order: each is the time from the datagram's receipt to the arrival of the message that answers the
-# frame, at a subscriber of that topic; of commands to their sending, by the clock of the computer that flies.
+# The hops, in order: each is the time from receipt of the datagram to the arrival, at a subscriber, of the message that
+# answers the frame; for commands, to their sending, by the clock of the computer that flies.
 # `exposure_to_datagram` is the camera system's own delay.
 HOPS = {
     "exposure_to_datagram": "exposure to datagram (the camera system itself)",
@@ -40,7 +40,7 @@ PERCENTS = {"p50": 50, "p99": 99, "max": 100}
 
 @dataclass
 class VehicleFlight:
-    """One vehicle: where it should have been and where it was, on one time grid."""
+    """One vehicle: desired and actual path, on one time grid."""
 
     t_s: np.ndarray  # (n,) [s] since the first reference
     desired_m: np.ndarray  # (n, 3) cortex frame
@@ -71,7 +71,7 @@ class VehicleFlight:
 class Mocap:
     """Frames of the motion capture stream."""
 
-    frames_sent: int = 0  # from the wire's frame numbers
+    frames_sent: int = 0  # from the frame numbers of the stream
     frames_received: int = 0
     frames_estimated: int = 0  # frames that have their states on /cortex_raw
     rate_hz: float = 0.0
@@ -87,7 +87,7 @@ class Flight:
     mocap: Mocap
     judged_against: str  # "ground truth" or "mocap"
     bearings: BearingStatistics | None = None  # None without bearings
-    paths: dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, to be drawn
+    paths: dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, for drawing
     landmarks: dict[str, np.ndarray] = field(default_factory=dict)  # (3,) [m] cortex frame
     command_latency_s: dict[str, np.ndarray] = field(default_factory=dict)  # {topic of commands: (n,) [s]}
     arena: Arena = Arena()
@@ -95,7 +95,7 @@ class Flight:
 
 
 class FlightCollector(Collector):
-    """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, of a limited count."""
+    """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, up to a limit."""
 
     topics = ("/mocap_time", "/operator/phase", "/operator/result", REFERENCES, TRUTH, *_ANSWERS)
     ends = ("/commands_sent", "/cmd_vel_stamped", "/trajectory_phase", "/safety")
@@ -113,18 +113,18 @@ class FlightCollector(Collector):
         self._recording = Recording(dict.fromkeys((REFERENCES, STATES, TRUTH), _POSE), MOST_ROWS)
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
         self._arrivals = {topic: Arrivals() for topic in _ANSWERS}
-        self._commands = defaultdict(Arrivals)  # topic of commands -> of the states that they answer
+        self._commands = defaultdict(Arrivals)  # topic of commands -> stamps of the states that they answer, when sent
         vehicles = fleet.vehicles if fleet else laboratory_vehicles()
         self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
         self._sent_on = {v.template: "/%s/%s" % (v.namespace, adapter_class(v.vehicle_type).COMMANDS) for v in vehicles}
         self._landed_s = {}  # namespace -> when its ladder began to land it
         self._receipts = Arrivals()  # of the datagrams
-        self._frames = Arrivals()  # the same stamps with the frames' numbers
+        self._frames = Arrivals()  # the same stamps with frame numbers in place of receipts
         # Programs start before the operator's first phase that is not waiting, and end after its result.
         self._begun_s, self._over_s, self._waited_s = -np.inf, np.inf, -np.inf
 
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
+        """Take one message; topics that are not needed are ignored."""
         if self._with_bearings or topic not in (STATES, TRUTH):
             self._bearings(topic, receipt_s, message)
         if topic in self._recording.topics:
@@ -139,7 +139,7 @@ class FlightCollector(Collector):
                 if command.answers.sec:
                     topic = self._sent_on.get(command.name) or "/%s/cmd_vel" % command.name
                     self._commands[topic].append(command.answers, seconds(command.sent))
-        elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
+        elif topic.endswith("/cmd_vel_stamped"):  # in older bags: the stamp answered, and the time of receipt
             if message.header.stamp.sec:
                 self._commands[topic].append(message.header.stamp, receipt_s)
         elif topic.endswith("/safety"):
@@ -148,7 +148,7 @@ class FlightCollector(Collector):
         elif topic.endswith("trajectory_phase"):
             self._recording.phases(receipt_s, message)
         elif topic == "/operator/phase":
-            if message.phase == OperatorPhase.WAITING:  # what was said before is of another flight
+            if message.phase == OperatorPhase.WAITING:  # earlier phases are of another flight
                 self._begun_s, self._over_s, self._waited_s = -np.inf, np.inf, seconds(message.header.stamp)
             elif self._begun_s == -np.inf:
                 self._begun_s = receipt_s
@@ -156,13 +156,13 @@ class FlightCollector(Collector):
             self._over_s = min(self._over_s, receipt_s)
 
     def wants(self, topic):
-        """Whether messages of this topic say anything here."""
+        """Whether messages of this topic are used."""
         return super().wants(topic) or self._bearings.wants(topic)
 
     def flight(self, strict=True):
         """Evaluate what was collected. Raises ValueError when the bag holds no flight.
 
-        strict: False: of any bag; what cannot be evaluated is left out and named in the notes.
+        strict: False = accept any bag; what cannot be evaluated is left out and named in the notes.
         """
         recording, notes = self._recording, []
         source = TRUTH if recording.parts(TRUTH) else STATES
@@ -191,7 +191,7 @@ class FlightCollector(Collector):
         start_s = min(firsts, default=None)
         whole = not strict and not recording.has_phases
         vehicles, paths = {}, {}
-        for name, parts in sorted(states.items()):  # one after the other: only one is in memory as a whole
+        for name, parts in sorted(states.items()):  # one at a time, so that only one is in memory as a whole
             actual = recording.series(parts)
             actual.values[:, 3] = np.unwrap(np.radians(actual.values[:, 3]))
             paths[name] = actual.thinned(PATH_ROWS)
@@ -228,14 +228,14 @@ class FlightCollector(Collector):
         )
 
     def _on_course(self, name):
-        """Function of times (n,): whether the trajectory node said that the vehicle is on its course, and it was not
-        landed by its ladder.
+        """Function of times (n,): True where the trajectory node says that the vehicle is on its course and its ladder
+        has not begun to land it.
         """
         landed_s = self._landed_s.get(self._namespaces.get(name, name), np.inf)
         return lambda t_s: (self._recording.told(name, t_s)[1] == ON_COURSE) & (t_s < landed_s)
 
     def _mocap(self):
-        """Frames from the beginning of the flight to its result: outside it nodes start and stop."""
+        """Count frames from the beginning of the flight to its result only: outside it nodes start and stop."""
         stamps_ns, numbers = self._frames.first()
         estimated_ns, _ = self._arrivals[STATES].first()
         estimated_ns = estimated_ns[(estimated_ns >= 1e9 * self._begun_s) & (estimated_ns < 1e9 * self._over_s)]
@@ -292,14 +292,14 @@ def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
 
 
 def evaluate(desired, actual, on_course, start_s):
-    """VehicleFlight of a desired and an actual Series of x, y, z [m], yaw [rad].
+    """Return the VehicleFlight of a desired and an actual Series of x, y, z [m], yaw [rad].
 
-    on_course: function of times (n,) that says whether it is on its course then; None: it always is.
-    start_s: where its times begin. Raises ValueError when the two have no time in common.
+    on_course: function of times (n,) that says whether the vehicle is on its course; None = always.
+    start_s: time [s] that becomes 0. Raises ValueError when the two have no time in common.
     """
     begin_s, end_s = max(desired.t_s[0], actual.t_s[0]), min(desired.t_s[-1], actual.t_s[-1])
     step_s = max(1.0 / GRID_HZ, (end_s - begin_s) / MOST_ROWS)
-    # not np.arange(begin, end, step): its step is rounded to what the stamps' size leaves, and adds up
+    # not np.arange(begin, end, step): it rounds the step to the precision of the stamps, and the error adds up
     grid_s = begin_s + step_s * np.arange(max(0, math.floor((end_s - begin_s) / step_s) + 1))
     grid_s = grid_s[grid_s <= end_s]
     if len(grid_s) < 2:

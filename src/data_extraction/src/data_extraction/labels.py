@@ -24,7 +24,7 @@ from risc_lab.settings import Positive, Settings
 
 @dataclass(frozen=True)
 class LabelParams(Settings):
-    """What is labelled."""
+    """Settings of the labelling."""
 
     delay_s: float = 0.0  # a picture stamped t shows the world at t - delay_s
     min_fraction: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.25  # least part of an object that must be in the picture
@@ -75,7 +75,7 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
 
 
 class _DataSet:
-    """COCO's images, annotations and categories while they grow; pictures are written at once."""
+    """Collects COCO's images, annotations and categories; writes each picture at once."""
 
     def __init__(self, folder, surroundings, params):
         self._folder, self._surroundings, self._params = folder, surroundings, params
@@ -180,7 +180,7 @@ class _DataSet:
 
 
 def draw(picture, sightings):
-    """A copy of the picture with the outlines, centres and names of what is to be seen."""
+    """A copy of the picture with the outlines, centres and names of the visible objects."""
     drawn = picture.copy()
     for sighting in sightings:
         colour = camera_topics.GREEN if sighting.kind == LANDMARK else camera_topics.YELLOW
@@ -192,7 +192,7 @@ def draw(picture, sightings):
 
 
 def _picture_topics(bag, wanted):
-    """The topics that are labelled: those asked for, else all that look like a camera's."""
+    """The topics that are labelled: those asked for, else all that are named like a camera's."""
     bag.require(wanted or ())
     for topic in wanted or ():
         if bag.types[topic] not in MESSAGES:

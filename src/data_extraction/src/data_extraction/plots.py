@@ -1,4 +1,4 @@
-"""Plots of a flight that a person would put into a report. Writes PNG files or SVG texts; needs no display."""
+"""Plots of a flight, as used in a report. Writes PNG files or SVG texts; needs no display."""
 
 import io
 import itertools
@@ -25,17 +25,17 @@ from risc_lab.lab.yaml_reader import package_file  # noqa: E402
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
 _MOST_POINTS = 2500  # of one line: more cannot be told apart on paper
 _MARGIN_M = 0.15  # outside the net, that a plan shows
-_FEW = 6  # vehicles that have a colour and a line in a legend each; of more,
-_WORST = 3  # so many
-COURSE_LIMITS_M = ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))  # of a course's path, as in the original release
-_ROOM_M = 0.1  # beyond a path that leaves them
+_FEW = 6  # most vehicles that a legend lists one by one
+_WORST = 3  # of more vehicles, the plot of errors lists this many
+COURSE_LIMITS_M = ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))  # axes of a course's path, as in the original release
+_ROOM_M = 0.1  # added where a path leaves these limits
 _GAP_S = 0.25  # a line is broken where values are missing for longer
-_STILL_DEG = 2.0  # angles that stay below this are shown on an axis of this size
+_STILL_DEG = 2.0  # axes of angles span at least +- this
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
 FAULT = "#b3261e"
-_LEGEND_OUTSIDE = "constrained"  # the layout that has room for one; it takes twice the time of the usual one
+_LEGEND_OUTSIDE = "constrained"  # the layout with room for a legend; it takes twice as long as the usual one
 
 
 def style():
@@ -59,7 +59,7 @@ def draw_all(flight, folder, title, faults=()):
 
 
 def _figures(flight, title, faults):
-    """(name, figure) of every plot, each drawn when it is asked for."""
+    """(name, figure) of every plot, each drawn when the generator reaches it."""
     yield "paths", paths(flight, title)
     for name, vehicle in flight.vehicles.items():
         yield "axes_" + name, axes_over_time(name, vehicle, title, faults)
@@ -71,13 +71,13 @@ def _figures(flight, title, faults):
 
 
 def save_png(figure, path):
-    """A figure into a file; the figure is closed. `savefig` would do the same, and draw it twice."""
+    """Write a figure to a PNG file and close it. `savefig` would draw it twice."""
     FigureCanvasAgg(figure).print_png(path)
     plt.close(figure)
 
 
 def as_svg(figure):
-    """A figure as SVG text, the same for the same figure; the figure is closed."""
+    """Return a figure as SVG text, reproducibly, and close it."""
     stream = io.StringIO()
     FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None})
     plt.close(figure)
@@ -134,9 +134,9 @@ def axes_over_time(name, vehicle, title, faults=()):
 
 
 def draw_both(axes, t_s, desired, actual, least, **look):
-    """Desired and actual values (n,) over time; what hardly moves gets an axis of at least this height.
+    """Desired and actual values (n,) over time; least: smallest height of the axis, for values that hardly change.
 
-    look: of the line of the desired values, where it is not dashed.
+    look: line style of the desired values, in place of dashes.
     """
     axes.plot(t_s, actual, color=ACTUAL, lw=1.2, label="actual")
     if not np.isnan(desired).all():
@@ -174,7 +174,7 @@ def errors(flight, title, faults=()):
 
 
 def _draw_spread(axes, vehicles):
-    """All errors in grey, and between which of them the middle half of the vehicles is."""
+    """All errors in grey, the band of the middle half of the vehicles, and the median."""
     t_s = next(iter(vehicles.values())).t_s
     t_s = t_s[_some(len(t_s))]
     rows = [1e3 * np.interp(t_s, v.t_s, v.error_m, left=np.nan, right=np.nan) for v in vehicles.values()]
@@ -207,7 +207,7 @@ def latency(flight, title):
 
 
 def bearings(statistics, title):
-    """Bearing errors of every vehicle: scatter of the fully seen ones, and RMS and what was found for each landmark."""
+    """Bearing errors of every vehicle: scatter of fully seen objects; RMS and detection rate of each object."""
     rows = [
         (vehicle, target, target.figures())
         for vehicle, targets in sorted(statistics.vehicles.items())
@@ -244,7 +244,7 @@ def bearings(statistics, title):
         text = "n %d%s" % (figures["count"], seen)
         bars.text(width + 0.03 * widest, place, text, va="center", fontsize=7, bbox=paper)
     bars.set_yticks(places, ["%s: %s" % (vehicle, target.name) for vehicle, target, _ in rows])
-    bars.axvline(0.1, color="#333333", lw=0.9)  # outside, when all are well below it
+    bars.axvline(0.1, color="#333333", lw=0.9)  # outside the axes when all are well below it
     line = "; line: 0.1 deg" if 1.55 * widest > 0.1 else ""
     bars.set(xlabel="RMS error [deg]    (dark: azimuth, light: elevation%s)" % line, xlim=(0.0, 1.55 * widest))
     bars.set_axisbelow(True)
@@ -410,7 +410,7 @@ def _draw_course(axes, segment):
     axes.plot(*broken.T[3:], color=ACTUAL, lw=1.5, label="actual")
     axes.plot(*broken.T[:3], color=DESIRED, lw=0.9, ls="--", label="desired")
     axes.plot(*actual_m[:1].T, "o", color=ACTUAL, ms=4, label="start")
-    axes.plot(*broken.T[3:5], 0.0, color="#bbbbbb", lw=0.8, label="on the floor")  # without it depth cannot be told
+    axes.plot(*broken.T[3:5], 0.0, color="#bbbbbb", lw=0.8, label="on the floor")  # without it depth cannot be seen
     x, y, z = course_limits_m(np.vstack((desired_m, actual_m)))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=x, ylim=y, zlim=z)
     axes.set_box_aspect([high - low for low, high in (x, y, z)], zoom=0.95)
@@ -430,7 +430,7 @@ def _draw_angle(axes, segment, index, label):
     """Desired and actual angle over time. index: 0 roll, 1 pitch."""
     pair = segment.columns((DESIRED_ANGLES[index], ANGLES[index]))
     t_s, broken = _with_gaps(segment.table[:, -1] - segment.start_s, pair)
-    # behind: the desired angle carries the noise that the vehicle's inertia takes out
+    # drawn behind: the desired angle carries noise that the vehicle's inertia filters out
     draw_both(axes, t_s, *broken.T, 2.0 * _STILL_DEG, lw=0.8, alpha=0.6, zorder=1.5)
     axes.set_ylabel(label + ("\n(no commands)" if np.isnan(pair[:, 0]).all() else ""))
     if index == 0:
@@ -454,7 +454,7 @@ def _with_gaps(t_s, values):
 
 
 def _joined(title, text):
-    """Heading of a figure; none without a title: a caption says then what it shows."""
+    """Heading of a figure; None without a title, when a caption says what the figure shows."""
     return "%s: %s" % (title, text) if title else None
 
 
@@ -502,7 +502,7 @@ def _shade(axes, vehicle):
 
 
 def _mark_faults(axes, faults, numbered=True):
-    """When faults acted, with their numbers above; times beyond the plot stay beyond it."""
+    """Mark when faults acted, with their numbers above; the limits of the time axis stay."""
     low_s, high_s = axes.get_xlim()
     for number, (begin_s, end_s) in enumerate(faults, start=1):
         axes.axvspan(begin_s, min(end_s, high_s), color=FAULT, alpha=0.15, lw=0.0, zorder=0.5)

@@ -1,4 +1,4 @@
-"""What a person sees while something takes long: one line that is renewed, or a line now and then into a file."""
+"""Progress display: one line that is updated on a terminal, or a line now and then in a file."""
 
 import shutil
 import sys
@@ -8,7 +8,7 @@ _BAR_WIDTH = 24  # characters
 
 
 class Progress:
-    """Shows the phase of something that runs, its time, and a detail."""
+    """Shows the phase of a running job, its elapsed time and a detail."""
 
     def __init__(self, stream=None, plain_period_s=5.0):
         self._stream = stream or sys.stderr
@@ -19,25 +19,25 @@ class Progress:
         self._last_phase = None
 
     def show(self, phase, detail=""):
-        """Renew the line; a new phase always shows, the rest now and then."""
+        """Update the line; a new phase is always shown, other updates now and then."""
         now_s = time.monotonic()
         if phase == self._last_phase and now_s - self._last_s < self._period_s:
             return
         self._last_s, self._last_phase = now_s, phase
         text = ("%5.1f s  %-10s  %s" % (now_s - self._begin_s, phase, detail)).rstrip()
-        if self._live:  # a line that wraps cannot be renewed
+        if self._live:  # a line that wraps cannot be updated
             text = "\r\033[K" + text[: shutil.get_terminal_size().columns - 1]
         self._stream.write(text if self._live else text + "\n")
         self._stream.flush()
 
     def say(self, text):
-        """Print a line of its own that stays."""
+        """Print a permanent line."""
         self.clear()
         self._stream.write(text + "\n")
         self._stream.flush()
 
     def clear(self):
-        """Wipe the line that is renewed, before something else is printed in its place."""
+        """Erase the progress line, before something else is printed in its place."""
         if self._live:
             self._stream.write("\r\033[K")
             self._stream.flush()

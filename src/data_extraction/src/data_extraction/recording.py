@@ -1,4 +1,4 @@
-"""What each vehicle did, should have done and was told, paired by time: for plots, reports, figures. Needs no ROS."""
+"""Actual states, references and commands of each vehicle, paired by time: for plots and reports. Needs no ROS."""
 
 import math
 import operator
@@ -21,8 +21,8 @@ class Series:
 
     t_s: np.ndarray  # (n,) [s], increasing
     values: np.ndarray  # (n, k)
-    receipts_s: np.ndarray | None = None  # (n,) [s] when they came
-    labels: np.ndarray | None = None  # (n,) the names that are the course's, not a vehicle's; "" = none
+    receipts_s: np.ndarray | None = None  # (n,) [s] times of receipt
+    labels: np.ndarray | None = None  # (n,) name of the course where it stood in place of the vehicle's; "" = none
 
     def at(self, t_s):
         """Values interpolated at times t_s (m,). Returns (m, k); NaN outside the recorded time."""
@@ -31,31 +31,31 @@ class Series:
         )
 
     def near(self, t_s, gap_s):
-        """(whether times t_s (m,) are between samples no farther apart than gap_s and of one label, their labels)."""
+        """(whether times t_s (m,) lie between samples at most gap_s apart and with the same label, their labels)."""
         after = np.minimum(np.searchsorted(self.t_s, t_s), len(self.t_s) - 1)
         before = np.maximum(np.where(self.t_s[after] > t_s, after - 1, after), 0)
         near = (self.t_s[before] <= t_s) & (t_s <= self.t_s[after]) & (self.t_s[after] - self.t_s[before] <= gap_s)
         return near & (self.labels[before] == self.labels[after]), self.labels[before]
 
     def thinned(self, most):
-        """A Series of its own of at most `most` samples, first and last among them."""
+        """A new Series of at most `most` samples, including the first and the last."""
         rows = np.unique(np.linspace(0, len(self.t_s) - 1, min(most, len(self.t_s))).round().astype(int))
         return Series(self.t_s[rows], self.values[rows])
 
 
 class Recording:
-    """Takes messages, and says whose entries they hold.
+    """Takes messages and assigns their entries to vehicles.
 
-    Entries are those of the messages' `Obj`, in the units of risc_msgs (rospy's or those that rosbags reads).
+    Entries are those of the messages' `Obj`, in the units of risc_msgs (objects of rospy or of rosbags).
     Vehicles are found by name. The original release put the course's name into `Trajectory.name`, or one vehicle's
-    name into all entries, and meant the place in the message; where no name is a vehicle's that is taken. It never
-    stamped its trajectories: the times of receipt are used for everything then.
+    name into all entries, and identified vehicles by their place in the message; the place counts where names repeat
+    or none is a vehicle's. It never stamped its trajectories: then times of receipt are used for all topics.
     """
 
     def __init__(self, fields, limit=None, only=()):
         """fields: {topic: names of an entry's fields to keep}.  limit: most rows of each, see Samples; None = all.
 
-        only: vehicles that are wanted: the first is meant by an entry that is alone; () = all.
+        only: the wanted vehicles; the only entry of a message is taken for the first of them; () = all.
         """
         self._take = {topic: operator.attrgetter(*names) for topic, names in fields.items()}
         self._width = {topic: 2 + len(names) for topic, names in fields.items()}
@@ -91,12 +91,12 @@ class Recording:
                 samples[key].append(row)
 
     def phases(self, receipt_s, message):
-        """TrajectoryPhases: what the trajectory node flies, and does with each vehicle."""
+        """Take a TrajectoryPhases message: the course of the trajectory node, and the phase of each vehicle."""
         _, _, phases, others = self._marks[-1]
         self._mark(receipt_s, message.course, {**phases, **phase_words(message.vehicles)}, others)
 
     def others_phase(self, receipt_s, word):
-        """The phase of vehicles of which no trajectory node says anything."""
+        """Set the phase of the vehicles that no trajectory node reports."""
         self._mark(receipt_s, *self._marks[-1][1:3], word)
 
     def _mark(self, receipt_s, *what):
@@ -105,7 +105,7 @@ class Recording:
 
     @property
     def has_phases(self):
-        """Whether a trajectory node said what vehicles do."""
+        """Whether a trajectory node has reported phases of vehicles."""
         return bool(self._marks[-1][2])
 
     def told(self, vehicle, receipts_s):
@@ -116,7 +116,7 @@ class Recording:
         return courses[marks], phases[marks]
 
     def by_place(self, topic, states):
-        """Whether the names on a topic are not those of its vehicles, which are named by `states`."""
+        """Whether a topic's entries go to vehicles by place, because their names are not vehicles' names (`states`)."""
         names = {name for _, name in self._samples[topic]}
         return topic in (REFERENCES, COMMANDS) and bool(names) and (topic in self._repeated or names.isdisjoint(states))
 
@@ -134,12 +134,12 @@ class Recording:
         return parts
 
     def forget(self, parts, begin_s, end_s):
-        """Forget what the [(label, Samples), ...] hold from one time to before another."""
+        """Delete the rows of [(label, Samples), ...] with begin_s <= time < end_s."""
         for _, samples in parts:
             samples.forget(self.clock, begin_s, end_s)
 
     def restart(self):
-        """Forget all messages, not whose they are nor what was told: another clock, or the same one turned back."""
+        """Delete all samples, but keep vehicles and phases: the clock is another one, or was set back."""
         self._samples = {topic: {} for topic in self._take}
 
     @property
@@ -156,7 +156,7 @@ class Recording:
 
 
 def best_shift(cost, shifts_s):
-    """(time shift [s] of the least cost, that cost, the largest on the grid). shifts_s: (n,) even grid to begin."""
+    """(time shift [s] of the least cost, that cost, the largest on the grid). shifts_s: (n,) uniform starting grid."""
     costs = [cost(shift_s) for shift_s in shifts_s]
     best_s, step_s = shifts_s[int(np.argmin(costs))], shifts_s[1] - shifts_s[0]
     found = minimize_scalar(cost, bounds=(best_s - step_s, best_s + step_s), method="bounded")

@@ -1,4 +1,4 @@
-"""Many rows of numbers in little memory: what a bag's messages leave behind while it is read."""
+"""Compact storage for many rows of numbers, filled while a bag is read."""
 
 from array import array
 
@@ -18,14 +18,14 @@ class Samples:
         self._limit = limit
         self._numbers = array("d")
         self._count = 0
-        self.every = 1  # one of so many rows is kept
+        self.every = 1  # one of this many rows is kept
 
     def __len__(self):
         return len(self._numbers) // self._width
 
     @property
     def first(self):
-        """The row that came first; empty before any."""
+        """The first row; empty when there is none."""
         return tuple(self._numbers[: self._width])
 
     def append(self, row):
@@ -39,7 +39,7 @@ class Samples:
             self.every *= 2
 
     def forget(self, column, begin, end):
-        """Forget the rows whose number in that column is from `begin` to below `end`."""
+        """Delete the rows with begin <= row[column] < end."""
         table = self.table()
         kept = (table[:, column] < begin) | (table[:, column] >= end)
         self._numbers = array("d", table[kept].tobytes())
@@ -50,7 +50,7 @@ class Samples:
 
 
 class Arrivals:
-    """When the message of each stamp came: 16 bytes a message."""
+    """Times of receipt of messages by their stamps: 16 bytes a message."""
 
     def __init__(self):
         self._stamps_ns = array("q")
@@ -62,12 +62,12 @@ class Arrivals:
         self._receipts_s.append(receipt_s)
 
     def first(self):
-        """(stamps (n,) [ns], strictly increasing; receipts (n,) [s]): the first that came of each stamp."""
+        """(stamps (n,) [ns], strictly increasing; receipts (n,) [s]): for each stamp the first message."""
         stamps_ns, first = np.unique(np.array(self._stamps_ns, dtype=np.int64), return_index=True)
         return stamps_ns, np.array(self._receipts_s)[first]
 
     def since_s(self, earlier):
-        """(n,) [s] from the receipt of what other Arrivals hold to that of what is here of the same stamps."""
+        """(n,) [s] from receipt in `earlier`, other Arrivals, to receipt here, for the stamps that both hold."""
         (stamps_ns, receipts_s), (earlier_ns, earlier_s) = self.first(), earlier.first()
         _, ours, theirs = np.intersect1d(stamps_ns, earlier_ns, assume_unique=True, return_indices=True)
         return receipts_s[ours] - earlier_s[theirs]

@@ -1,4 +1,4 @@
-"""What a vehicle should have done and what it did, as a table for each segment of a flight. Needs no ROS.
+"""Desired and actual states of a vehicle, as a table for each segment of a flight. Needs no ROS.
 
 The 16 columns are those of the course's logger in the original release, in its order; here every name says its unit.
 """
@@ -36,8 +36,8 @@ _FIELDS = {
 
 PLOT_BUTTON = 3  # of the original release
 
-_DELAY_S = 0.5  # a state waits so long for the reference and the command before and after it
-_GAP_S = 0.25  # nothing is interpolated over a longer silence, and no command holds for longer
+_DELAY_S = 0.5  # a state waits this long for the references and commands around it
+_GAP_S = 0.25  # longer gaps are not interpolated, and no command holds for longer
 _SENT_ROWS = 2**17  # the longest segment at 200 Hz
 
 
@@ -99,7 +99,7 @@ class Segment:
 
     @property
     def label(self):
-        """What is flown, for people."""
+        """Text: course and phase."""
         words = [self.course] if self.course else []
         if self.phase and not (self.course and self.phase == ON_COURSE):
             words.append(self.phase)
@@ -116,8 +116,8 @@ def full_scales_deg(params, fleet_vehicles=()):
 
     NED sense, so for an AR.Drone they are negative: its fractions are + left and + forward. For the vehicles of a
     fleet the result is the angle that its controllers wanted: they divide it by the gain of the type's attitude loop
-    (risc_control.vehicles). The original's controllers knew no gains, so without a fleet it is the fraction
-    of euler_angle_max and nothing else. That limit is the type's when it is not set, 20 degrees for the AR.Drone: the
+    (risc_control.vehicles). The original's controllers used no gains, so without a fleet it is the fraction
+    of euler_angle_max alone. That limit is the type's when it is not set, 20 degrees for the AR.Drone: the
     original's plots took 0.78537 rad for every vehicle, which is right for its IRIS+ only.
     """
     override = params.euler_angle_max if params.euler_angle_max > 0.0 else None
@@ -147,10 +147,10 @@ class Recorder:
         self._wanted = tuple(template.get(name, name) for name in params.vehicles)
         self._recording = Recording(_FIELDS, only=self._wanted)
         self._sent = {}  # vehicle -> CommandHistory(1)
-        CommandHistory(1, _SENT_ROWS)  # loads what is compiled for so many rows: not in flight
+        CommandHistory(1, _SENT_ROWS)  # loads the code compiled for this many rows now, not in flight
         self._clock = ClockGuard(math.inf)  # of the states; they may pause for long
         self._delay_s = _DELAY_S
-        self._over, self._growing = {}, {}  # vehicle -> its Segments that have ended; that which has not
+        self._over, self._growing = {}, {}  # vehicle -> its ended Segments; the one in progress
         self._ended = 0
 
     @property
@@ -164,7 +164,7 @@ class Recorder:
         return tuple(name for name in self._wanted if name not in self._recording.order)
 
     def take(self, topic, receipt_s, message, seconds):
-        """Take a message of any topic in TOPICS. seconds: makes a number [s] of the times in it."""
+        """Take a message of any topic in TOPICS. seconds: function that converts its times to [s]."""
         if topic == SENT:
             for command in message.commands:
                 self.add(topic, receipt_s, command, seconds(command.sent))
@@ -172,7 +172,7 @@ class Recorder:
             self.add(topic, receipt_s, message, seconds(message.header.stamp) if topic in _FIELDS else None)
 
     def add(self, topic, receipt_s, message, stamp_s=None):
-        """Take a message of any topic in TOPICS; of SENT each command by itself, and when it was sent as its stamp.
+        """Take a message of any topic in TOPICS; of SENT one command at a time, stamped with when it was sent.
 
         stamp_s: of its header, when it has one; 0 = it is not stamped.
         """
@@ -193,11 +193,11 @@ class Recorder:
                 self._sent.clear()
 
     def finish(self):
-        """Use what still waits for later messages: there will be none."""
+        """Process what still waits for later messages: none will come."""
         self._delay_s = 0.0
 
     def ended(self):
-        """How many segments have ended so far, long enough or not. To be asked now and then: memory stays bounded."""
+        """How many segments have ended so far, long enough or not. Call it now and then: that bounds the memory."""
         self._collect(self._clock.newest_s - self._delay_s)
         return self._ended
 
@@ -231,8 +231,8 @@ class Recorder:
             del over[0]
 
     def _collect(self, until_s):
-        """Pair what came up to a time; forget what belongs to segments that have ended, or finds no partner any more:
-        states while no reference says where the vehicle should be, references of a vehicle that is not seen.
+        """Pair the samples up to a time. Delete those of ended segments, and those that can no longer be paired: states
+        without a reference, references of a vehicle that is not seen.
         """
         recording, order = self._recording, self._recording.order
         if not order:
@@ -254,7 +254,7 @@ class Recorder:
             recording.forget(states + references + commands, end_s + _GAP_S, until_s - _GAP_S)
 
     def _paired(self, name, states, references, commands, until_s):
-        """Segments of a vehicle, of its states up to a time that have a reference before and after them.
+        """Segments of a vehicle, from its states up to a time that have a reference before and after them.
 
         states, references, commands: parts of the recording.
         """

@@ -16,7 +16,7 @@ FIGURES = ("position_rmse_m", "position_max_m", "yaw_rmse_rad", "settle_s", "lag
 def summarise(flight, experiment, simulated, artefacts, origin=None, faults=None):
     """The summary of a flight as a dict ready for JSON; README of this package explains the keys.
 
-    experiment: name; simulated: False, or a dict that says the noise and delay model;
+    experiment: name; simulated: False, or a dict with the noise and delay model;
     artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}; origin: report.origin.Origin.
     faults: report.faults.Faults.
     `passed` is None until it has been judged.
@@ -63,7 +63,7 @@ def table(summary):
 
 
 def templates(autoescape, folder=None):
-    """Environment of this package's templates, and of those in another folder."""
+    """Jinja environment with this package's templates, and those of another folder."""
     folders = [package_file("data_extraction", "templates"), *filter(None, [folder])]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folders),

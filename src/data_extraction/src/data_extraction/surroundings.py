@@ -1,4 +1,4 @@
-"""What a bag tells of the cameras' surroundings: where vehicles and landmarks were, and what the cameras are like."""
+"""Surroundings of the cameras, from a bag: poses of vehicles, places of landmarks, calibrations and mounts."""
 
 import math
 from collections import defaultdict
@@ -24,7 +24,7 @@ _LANDMARK_ROWS = 60_000  # five minutes at 200 Hz; what stands still needs no mo
 
 
 class Surroundings(Collector):
-    """Takes the messages of a bag one by one; afterwards it is asked."""
+    """Takes the messages of a bag one by one; query it afterwards."""
 
     ends = (CAMERA_INFO,)
 
@@ -50,7 +50,7 @@ class Surroundings(Collector):
         self._infos = {}  # (namespace or "", is bottom) -> CameraInfo
 
     def __call__(self, topic, _receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
+        """Take one message; topics that are not needed are ignored."""
         if topic in self.tracks:
             stamp_s = seconds(message.header.stamp)
             for state in message.Obj:
@@ -83,7 +83,7 @@ class Surroundings(Collector):
         )
 
     def camera(self, vehicle, bottom=False):
-        """(CameraCalibration of a vehicle's camera: the bag's camera_info, else the fleet's; or None, its CameraMount).
+        """(CameraCalibration or None, CameraMount) of a vehicle's camera; calibration: camera_info, else the fleet's.
 
         vehicle: template. Raises ValueError for a camera_info that is not usable.
         """
@@ -95,8 +95,8 @@ class Surroundings(Collector):
     def landmarks(self, from_fleet=False):
         """{name: place (3,) [m], cortex frame} of the landmarks.
 
-        from_fleet: their places are those of the fleet file (that is where the virtual lab puts them), not what
-        motion capture measured.
+        from_fleet: use the places in the fleet file (that is where the virtual lab puts them), not those that motion
+        capture measured.
         """
         if from_fleet:
             return {name: np.array(landmark.position_m) for name, landmark in self._placed.items()}
@@ -121,10 +121,10 @@ class Surroundings(Collector):
                 rims.append(markers_m)
 
     def _normal(self, name, place):
-        """Unit vector (3,) out of the painted side, cortex frame; None when nothing tells.
+        """Unit vector (3,) out of the painted side, cortex frame; None when unknown.
 
-        The plane is that of the markers on the rim, as measured or else as in the template; the fleet file says
-        which of its sides is painted, else it is the one towards the middle of the arena.
+        The plane is that of the rim markers as measured, else that in the fleet file, else that of the template's
+        markers. The fleet file says which side is painted, else it is the one towards the middle of the arena.
         """
         towards = -np.asarray(place, dtype=float) * (1.0, 1.0, 0.0)
         facing_rad = self._placed[name].facing_rad if name in self._placed else None

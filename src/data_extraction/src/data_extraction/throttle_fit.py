@@ -1,11 +1,12 @@
-"""The throttle that hovers, over the battery's charge, from a recorded flight: least squares, as in thesis 5.2.2.
+"""Hover throttle as a function of the battery charge, from a recorded flight: least squares, as in thesis 5.2.2.
 
-Of every second in which a vehicle hovers or flies slowly
+For every second in which a vehicle hovers or flies slowly
 
     T_hover = T - ((a + g) / (g cos(phi) cos(theta)) - 1)
 
-with the throttle T that it was sent in [-1, 1], its vertical acceleration a, and its tilt from motion capture: what an
-autopilot in STABILIZE makes of a throttle (eq. 5.5). Seconds of the same percent are one point of the fit.
+with the throttle T that it was sent in [-1, 1], and its vertical acceleration a and tilt from motion capture: this is
+how an autopilot in STABILIZE responds to a throttle (eq. 5.5). All seconds at the same percentage of charge form one
+point of the fit.
 """
 
 import re
@@ -25,31 +26,31 @@ from risc_lab.settings import Positive, Settings, between
 STATES, EVERYBODYS, _AUTOPILOT = "/cortex_raw", "/controls", "/apm/status"
 _CONFIDENCE = 0.95
 _GAP_S = 0.1  # of the states, at most
-_THROTTLE_S, _BATTERY_S = 0.5, 5.0  # what is older says nothing
-_LOWEST = -0.99  # a vehicle with a lower throttle stands, on something high or in a hand
-_PCT_PER_ORDER = 5.0  # a curve of order n needs n times as many percents
+_THROTTLE_S, _BATTERY_S = 0.5, 5.0  # older values are not used
+_LOWEST = -0.99  # with a lower throttle it does not fly: it stands on something high or is held in a hand
+_PCT_PER_ORDER = 5.0  # a curve of order n needs n times this range of charge
 _SHOW_EVERY = 1000  # messages
 
 
 @dataclass(frozen=True)
 class FitParams(Settings):
-    """Of the fit."""
+    """Settings of the fit."""
 
     order: between(1, 8) = 4  # of the polynomial
     window_s: between(0.2, 10.0) = 1.0  # over which throttle and acceleration are averaged
-    min_height_m: Positive = 0.3  # it flies, and out of the ground's cushion
+    min_height_m: Positive = 0.3  # lower, it may stand or be in ground effect
     max_speed_m_s: Positive = 1.0
-    max_climb_m_s: Positive = 0.2  # faster, up or down, air drags,
-    max_acceleration_m_s2: Positive = 0.3  # and stronger, throttle and acceleration are not of the same moment
+    max_climb_m_s: Positive = 0.2  # up or down; faster, air drag matters
+    max_acceleration_m_s2: Positive = 0.3  # up or down; above, throttle and acceleration are not of the same moment
 
 
 @dataclass
 class HoverPoints:
-    """Throttle that hovers at each percent, in the order of percents: arrays (k,)."""
+    """Hover throttle at each percent of charge, in ascending order: arrays (k,)."""
 
     pct: np.ndarray
     throttle: np.ndarray
-    spread: np.ndarray  # standard deviation of the windows that it is the mean of; NaN of one
+    spread: np.ndarray  # standard deviation over the averaged windows; NaN for a single one
     seconds: np.ndarray
 
 
@@ -61,17 +62,17 @@ class ThrottleFit:
     coefficients: np.ndarray  # (order + 1,)
     intervals: np.ndarray  # (order + 1,) half widths, 95 %
     scaled: Polynomial  # the same curve over -1 to 1: raw powers of 100 lose digits
-    covariance: np.ndarray  # of the coefficients of that
+    covariance: np.ndarray  # of the coefficients of `scaled`
     quantile: float  # of Student's t: half width over standard deviation
 
     @property
     def residuals(self):
-        """(k,) of the points."""
+        """(k,) residuals of the points."""
         return self.points.throttle - self.scaled(self.points.pct)
 
     @property
     def rms(self):
-        """Of the residuals, each counted as long as it lasted."""
+        """RMS of the residuals, weighted by duration."""
         return float(np.sqrt(np.average(self.residuals**2, weights=self.points.seconds)))
 
     def interval(self, pct):
@@ -92,7 +93,7 @@ def hover_points(states, throttle, battery, params):
     bounds = (np.searchsorted(states[:, 0], part) for part in (edges[:-1], edges[1:]))
     hovers = [None, *(_hover(states[begin:end], throttle, params) for begin, end in zip(*bounds)), None]
     for k, begin_s in enumerate(edges[:-1], start=1):
-        if None in hovers[k - 1 : k + 2]:  # next to a take-off, a landing or a jerk it is not at rest yet
+        if None in hovers[k - 1 : k + 2]:  # next to a take-off, a landing or a jerk it is not steady yet
             continue
         charge = _held(battery, np.array((begin_s, begin_s + params.window_s)), _BATTERY_S)
         if charge is not None and round(charge[0]) == round(charge[1]):
@@ -104,7 +105,7 @@ def hover_points(states, throttle, battery, params):
 
 
 def _hover(window, throttle, params):
-    """The throttle that hovers, of one window of states; None: it does not hover, or that is not known."""
+    """Hover throttle from one window of states; None when it does not hover, or that is not known."""
     if len(window) < 4 or np.diff(window[:, 0]).max() > _GAP_S or np.ptp(window[:, 0]) < 0.8 * params.window_s:
         return None
     if window[:, 1].min() < params.min_height_m or window[:, 3].max() > params.max_speed_m_s:
@@ -120,7 +121,7 @@ def _hover(window, throttle, params):
 
 
 def _held(samples, times_s, most_s):
-    """(n,) the newest value of samples (m, 2) at each time; None where there is none as recent."""
+    """(n,) the newest value of samples (m, 2) at each time; None if one is missing or older than most_s."""
     rows = np.searchsorted(samples[:, 0], times_s, side="right") - 1
     if rows[0] < 0 or (times_s - samples[rows, 0]).max() > most_s:
         return None
@@ -128,7 +129,7 @@ def _held(samples, times_s, most_s):
 
 
 def fit(points, order):
-    """ThrottleFit of HoverPoints, one at least. Raises ValueError when they do not determine a curve of that order."""
+    """ThrottleFit of HoverPoints (at least one). Raises ValueError when they do not determine a curve of that order."""
     count = len(points.pct)
     if count < order + 2 or np.ptp(points.pct) < _PCT_PER_ORDER * order:
         text = (
@@ -157,7 +158,7 @@ def fit_bag(path, vehicle=None, params=None, progress=None):
     """(name of the vehicle, ThrottleFit) of a bag.
 
     vehicle: its namespace or mocap template; None = the only one that is flown by throttle.
-    Raises BagError for a bag that lacks something, ValueError for a flight that says too little.
+    Raises BagError for a bag that lacks a topic, ValueError for a flight with too little data.
     """
     params = params or FitParams()
     with Bag(path) as bag:
@@ -189,7 +190,7 @@ def fit_bag(path, vehicle=None, params=None, progress=None):
 
 
 class _Material:
-    """What a bag says of vehicles that are flown by throttle. Times are those of receipt."""
+    """Data of a bag about the vehicles that are flown by throttle. Times are those of receipt."""
 
     def __init__(self, bag):
         kinds = {topic: (kind or "").rpartition("/")[2] for topic, kind in bag.types.items()}

@@ -1,1 +1,1 @@
-"""The laboratory in pictures: what is drawn (pure), how rviz is told (markers), and the ROS side (ros)."""
+"""Vision, drawing in rviz, browser view, transform tuner and pictures of flights; ROS parts are in folders `ros`."""

@@ -1,1 +1,1 @@
-"""The report of a flight: one HTML page that holds everything, made from a bag. Needs no ROS."""
+"""The report of a flight: one self-contained HTML page, made from a bag. Needs no ROS."""

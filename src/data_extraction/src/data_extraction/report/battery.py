@@ -1,4 +1,4 @@
-"""Charge and time in the air of every vehicle, from what it says of itself."""
+"""Charge and time in the air of every vehicle, from its status messages."""
 
 import math
 from dataclasses import dataclass, field
@@ -7,8 +7,8 @@ from data_extraction.report.topics import PerName, vehicle_of
 from data_extraction.samples import Samples
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 
-_ROWS = 4000  # that are drawn
-_GAP_S = 2.0  # silent for longer: what happened meanwhile is unknown
+_ROWS = 4000  # most samples that are drawn
+_GAP_S = 2.0  # after a longer silence, what happened meanwhile is unknown
 
 
 @dataclass
@@ -27,7 +27,7 @@ class Battery:
 
 
 class BatteryCollector(PerName):
-    """Its memory does not grow."""
+    """Collects each vehicle's Battery, in constant memory."""
 
     ends = ("/vehicle_status",)
 

@@ -43,18 +43,18 @@ class ReportCollector:
         takers = {topic: [part for part in parts if part.wants(topic)] for topic in bag.topics}
         self._foreign = [topic for topic in takers if takers[topic] and not fits(topic, bag.types[topic])]
         self._takers = {topic: takers[topic] for topic in takers if takers[topic] and topic not in self._foreign}
-        self.wanted = list(self._takers)  # the topics of the bag that say anything to the report
+        self.wanted = list(self._takers)  # the topics of the bag that the report uses
 
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
+        """Take one message; topics that are not needed are ignored."""
         for part in self._takers.get(topic, ()):
             part(topic, receipt_s, message)
 
     def material(self, flight=None):
-        """All that a report is made of, by name. flight: when it has been evaluated already.
+        """All that a report is made of, by name. flight: the Flight, when it has been evaluated already.
 
-        zero_s: ROS time that the report calls 0: of the first reference, else of the bag.  is_simulated: the bag is of
-        the virtual lab: nothing else knows a ground truth.  foreign: topics with the lab's names and other types.
+        zero_s: ROS time that the report calls 0: the first reference, else the start of the bag.  is_simulated: the bag
+        is from the virtual lab: only that has a ground truth.  foreign: topics with the lab's names but other types.
         """
         bag, flight = self._bag, flight or self.flight.flight(strict=False)
         found = {name: part.result(bag.start_s + bag.duration_s) for name, part in self._parts.items()}

@@ -1,4 +1,4 @@
-"""Which computer flies which vehicle, and how old what it answers is there: from the status of the vehicle nodes."""
+"""Which computer flies which vehicle, and how old the states are that it answers: from the vehicle nodes' status."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ class Computer:
 
     name: str  # host name; after a change: the newest
     oldest_ms: float = 0.0  # largest age of a state, by its stamp and this computer's clock, when a command answered it
-    behind_ms: float = 0.0  # by how much its clock is behind that of the stamps, at least; the largest that was told
+    behind_ms: float = 0.0  # least amount by which its clock is behind that of the stamps; the largest reported
 
 
 class ComputerCollector(PerName):

@@ -1,4 +1,4 @@
-"""What motion capture lost, and where in the arena: markers, whole vehicles, frames."""
+"""Losses of motion capture, and where in the arena they occurred: markers, whole vehicles, frames."""
 
 import math
 from collections import defaultdict
@@ -13,9 +13,9 @@ from risc_lab.lab.arena import Arena
 MOCAP, STATES = "/mocap_data", "/cortex_raw"
 CELL_M = 0.25  # side of a cell of the map
 MARKER_LIMIT_M = 100.0  # larger coordinates mean "lost" (9999.999 m in bags of the original release)
-LEAST_MARKERS = 400  # a cell with fewer says nothing: half a second of one vehicle at 200 Hz
+LEAST_MARKERS = 400  # a cell with fewer is not significant: half a second of one vehicle at 200 Hz
 GAP_S = 0.1  # a longer time between two frames is a gap of the stream
-_MOST_PLACES = 2000  # of one vehicle, that are drawn
+_MOST_PLACES = 2000  # per vehicle, that are drawn
 
 
 @dataclass
@@ -30,26 +30,26 @@ class MarkerLoss:
 
 @dataclass
 class Invisibility:
-    """Times at which the estimator said that it did not see a vehicle, after it had seen it once."""
+    """Periods in which the estimator reported a vehicle as not seen, after it had seen it once."""
 
     frames: int = 0
     invisible: int = 0
-    times: int = 0  # how often it began
+    times: int = 0  # number of these periods
     longest_s: float = 0.0
-    since_s: float | None = None  # stamp [s] since when it is not seen; None = it is seen
+    since_s: float | None = None  # stamp [s] at which the current period began; None = it is seen
 
     def until(self, stamp_s):
-        """Nothing comes before that stamp [s]."""
+        """Extend the current period, if any, to that stamp [s]."""
         if self.since_s is not None:
             self.longest_s = max(self.longest_s, stamp_s - self.since_s)
 
 
 @dataclass
 class Drops:
-    """All that was lost."""
+    """Everything that was lost."""
 
     seen_map: np.ndarray  # (x, y) markers seen in each cell of the arena, cortex frame; see `cell_edges`
-    lost_map: np.ndarray  # (x, y) markers lost there: by the object's other markers, else by its last known place
+    lost_map: np.ndarray  # (x, y) markers lost there: at the object's other markers, else at its last known place
     markers: dict[str, MarkerLoss] = field(default_factory=lambda: defaultdict(MarkerLoss))  # object -> its markers
     vehicles: dict[str, Invisibility] = field(default_factory=lambda: defaultdict(Invisibility))
     unplaced: int = 0  # markers lost of objects that were never seen before
@@ -57,7 +57,7 @@ class Drops:
     frames: int = 0  # of the stream
     gaps: int = 0
     longest_gap_s: float | None = None  # None = there was no frame
-    silent_end_s: float = 0.0  # how long before the bag's end the last frame came; a gap when it is longer than one
+    silent_end_s: float = 0.0  # time from the last frame to the bag's end; a gap when it is longer than GAP_S
 
     @property
     def least_markers(self):
@@ -77,18 +77,18 @@ def cell_edges(arena):
 
 
 class DropCollector(Collector):
-    """Its memory does not grow."""
+    """Collects Drops, in constant memory."""
 
     topics = (MOCAP, STATES)
 
     def __init__(self, arena=None):
-        """arena: whose map is made; None = the laboratory's."""
+        """arena: Arena of the maps; None = the laboratory's."""
         shape = [len(edges) - 1 for edges in cell_edges(arena or Arena())]
         self._drops = Drops(np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64))
         self._places = {}  # object -> (x, y) [m] where it was last
         self._gaps = 0  # before the newest frame
         self._last_frame_s = math.nan
-        self._late_s = math.inf  # least time from a stamp to its receipt: what the clocks differ by
+        self._late_s = math.inf  # least time from a stamp to its receipt: the offset of the clocks
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)
@@ -106,7 +106,7 @@ class DropCollector(Collector):
     def result(self, end_s):
         """Drops of what was collected; None when the bag held no motion capture.
 
-        What is lost at the end of the bag is lost until then, and so is the stream.
+        A vehicle or a stream that is lost at the end counts as lost until the end of the bag.
         """
         drops = self._drops
         if not drops.frames and not drops.vehicles:
@@ -133,7 +133,7 @@ class DropCollector(Collector):
         elif body.name not in self._places:
             drops.unplaced += lost
             return
-        # what is outside counts at the border
+        # positions outside count in the border cells
         place_m, counts = self._places[body.name], drops.seen_map.shape
         cell = tuple(min(max(int(m // CELL_M) + n // 2, 0), n - 1) for m, n in zip(place_m, counts))
         drops.seen_map[cell] += len(seen)

@@ -1,5 +1,5 @@
-"""What the operator did and was told: phases, joystick buttons, modes, warnings of the nodes; what the drivers of the
-vehicles' types tell (`risc_control.vehicles.Told`); and what was made to go wrong.
+"""Events of a flight: what the operator did and was told (phases, joystick buttons, modes, warnings of the nodes), what
+the drivers of the vehicles' types report (`risc_control.vehicles.Told`), and injected faults.
 """
 
 import re
@@ -12,7 +12,7 @@ from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
 _AGAIN_S = 3.0  # the same event within this time is a repetition
-_TOGETHER_S = 0.5  # the same event of several vehicles within this time is one of all of them
+_TOGETHER_S = 0.5  # the same event of several vehicles within this time counts as one event of all of them
 _WARN = 4  # rosgraph_msgs/Log
 
 
@@ -28,7 +28,7 @@ class Event:
 
 
 def head_and_tail(events, most):
-    """Of a list of events `most`, in their order: minor ones are left out first, then those in the middle."""
+    """At most `most` of a list of events, in their order: minor ones are left out first, then those in the middle."""
     kept = _ends([place for place, event in enumerate(events) if not event.is_minor], most)
     kept += _ends([place for place, event in enumerate(events) if event.is_minor], most - len(kept))
     return [events[place] for place in sorted(kept)]
@@ -41,7 +41,7 @@ def _ends(items, most):
 
 
 class EventCollector(Collector):
-    """Keeps what changed."""
+    """Collects Events: what changed."""
 
     topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout", *FAULT_TOPICS)
 
@@ -49,10 +49,10 @@ class EventCollector(Collector):
         self._told = {"/" + topic: told for topic, told in told_topics().items()}
         self.ends = ("/joy", "/controller_status", *self._told)
         self._events = []
-        self._count = 0  # of all, also of those that were not kept
+        self._count = 0  # of all events, including those that were not kept
         self._newest = {}  # key -> (its newest event, {source: when that last came})
         self._pressed = {}  # source -> buttons held
-        self._said = {}  # source -> what it said last: modes, phases
+        self._said = {}  # (source, what, topic) -> its last word: modes, phases
         self._acting = set()  # (topic, id) of faults
 
     def result(self, _end_s=None):
@@ -68,10 +68,10 @@ class EventCollector(Collector):
         last, source = topic.rpartition("/")[2], vehicle_of(topic)
         if topic == "/rosout":
             if message.level >= _WARN:
-                # numbers in a warning are those of the moment
+                # the numbers in a repeated warning differ
                 key = re.sub(r"\d+", "#", message.msg)
                 self._add(receipt_s, message.name.strip("/"), message.msg, key, is_minor=True)
-        elif topic == "/operator/phase":  # it is repeated as a sign of life
+        elif topic == "/operator/phase":  # it is repeated as a heartbeat
             self._note_change(receipt_s, "operator", "", _joined(OperatorPhase(message.phase), message.text))
         elif topic == "/operator/result":
             self._add(receipt_s, "operator", "result: " + _joined(OperatorResult(message.result), message.reason))
@@ -86,7 +86,7 @@ class EventCollector(Collector):
                 self._add(receipt_s, source, "joystick button %d" % index, is_minor=True)
             self._pressed[source] = held
         elif last == "controller_status":
-            if message.data or (source, "mode: ", "") in self._said:  # it begins manual
+            if message.data or (source, "mode: ", "") in self._said:  # the initial mode is manual
                 self._note_change(receipt_s, source, "mode: ", "autonomous" if message.data else "manual")
         else:
             self._note_told(receipt_s, topic, message)

@@ -1,7 +1,6 @@
-"""What was made to go wrong in the virtual lab and with the programs of a flight, and what became of it: outcome and
-reaction of every fault.
+"""Faults that were injected into the virtual lab and the programs of a flight: outcome and reaction of each.
 
-What happens from the start of a fault to the start of the next one counts as its own.
+What happens from the start of a fault to the start of the next one is attributed to the first.
 """
 
 import math
@@ -16,7 +15,7 @@ from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase, OperatorResult, OutCause
 
 LANDED_HEIGHT_M = 0.15  # a vehicle on the ground is not higher
-FALL_M_S = 2.0  # no vehicle comes down so fast on purpose
+FALL_M_S = 2.0  # no vehicle descends this fast on purpose
 _NEVER_S = math.inf
 TOLD = "/virtual_lab/told"
 FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
@@ -29,7 +28,7 @@ def fault_text(name, args):
 
 @dataclass(frozen=True)
 class FaultOutcome:
-    """A fault, and what became of it."""
+    """A fault and its outcome."""
 
     name: str
     args: str  # as on the command line
@@ -37,15 +36,15 @@ class FaultOutcome:
     begin_s: float  # ROS time, like the others
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
-    is_safe: bool  # its entry calls that outcome safe, and no two vehicles touched
-    # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before, or
-    # to the first by which it is told to hover or to land, e.g. by its driver
+    is_safe: bool  # its record lists that outcome as safe, and no two vehicles touched
+    # namespace -> time from its begin to the first command sent to the vehicle with a higher failsafe level than
+    # before, or to the first order to hover or to land that it received, e.g. from its driver
     reactions_s: dict[str, float]
     flying: int  # how many vehicles flew when it began
 
     @property
     def reaction_s(self):
-        """The first of all; None: none."""
+        """The shortest one; None without any."""
         return min(self.reactions_s.values(), default=None)
 
     @property
@@ -54,12 +53,12 @@ class FaultOutcome:
         return fault_text(self.name, self.args)
 
     def is_of(self, namespace):
-        """Whether it may happen to this vehicle."""
+        """Whether it may concern this vehicle."""
         return self.vehicle in ("", "*", namespace)
 
 
 class Out(NamedTuple):
-    """A vehicle that took no part any more."""
+    """A vehicle that dropped out of the flight."""
 
     time_s: float
     cause: OutCause
@@ -68,20 +67,20 @@ class Out(NamedTuple):
 
 @dataclass
 class Faults:
-    """All of a flight."""
+    """All faults of a flight."""
 
     outcomes: list[FaultOutcome]  # by their begins
-    waiting: int  # of those that never began
+    waiting: int  # number of faults that never began
     course_s: float | None  # when all were on the course
     out: dict[str, Out]  # by namespace
-    left_ok_s: dict[str, float]  # namespace -> when its ladder left ok last
+    left_ok_s: dict[str, float]  # namespace -> when the level of its ladder last rose
     kept_apart: set[str]  # namespaces of those that landed because others were too near
 
     def __bool__(self):
         return bool(self.outcomes)
 
     def marks(self, zero_s):
-        """[(begin [s], end [s]; infinite: none)] of each, for plots whose times count from zero_s."""
+        """[(begin [s], end [s]; infinite: none)] of each fault, for plots whose times count from zero_s."""
         ends_s = (math.inf if fault.end_s is None else fault.end_s for fault in self.outcomes)
         return [(fault.begin_s - zero_s, end_s - zero_s) for fault, end_s in zip(self.outcomes, ends_s)]
 
@@ -104,12 +103,12 @@ class Faults:
         ]
 
 
-# of an order of risc_maap_msgs/Told: nothing, fly, hover, land
+# level for each order of risc_maap_msgs/Told: nothing, fly, hover, land
 _LEVELS = FailsafeLevel.OK, FailsafeLevel.OK, FailsafeLevel.HOLD, FailsafeLevel.LAND
 
 
 class _Change(NamedTuple):
-    """A vehicle's failsafe level became another one."""
+    """A change of a vehicle's failsafe level."""
 
     time_s: float
     vehicle: str
@@ -132,9 +131,9 @@ class FaultCollector(Collector):
         vehicles = fleet.vehicles if fleet else laboratory_vehicles()
         self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
         self._faults = {}  # (topic, id) -> its newest FaultRecord
-        self._began = {}  # (topic, id) -> when it did
+        self._began = {}  # (topic, id) -> when it began
         self._levels = {}  # (topic, vehicle) -> its level
-        self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # what was said, what was sent, what came
+        self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # levels reported, sent, received
         self._hurt_s = []  # when a vehicle touched something, left the net, or fell
         self._contacts_s = []  # when two touched each other
         self._hurt = set()  # vehicles that are outside, or falling
@@ -143,7 +142,7 @@ class FaultCollector(Collector):
         self._begin_flight(-_NEVER_S)
 
     def _begin_flight(self, time_s):
-        """The operator waits for take-off; what he has said before is of another flight."""
+        """The operator waits for take-off; its earlier messages are of another flight."""
         self._waited_s = time_s
         self._course_s, self._landing_s, self._over_s = None, _NEVER_S, _NEVER_S
         self._out = {}
@@ -196,8 +195,8 @@ class FaultCollector(Collector):
     def _hear_operator(self, message):
         stamp_s = seconds(message.header.stamp)
         if stamp_s < self._waited_s:
-            return  # latched since then: of the flight before
-        is_flying = self._course_s is not None and self._landing_s == _NEVER_S  # by an operator that was killed
+            return  # a latched message of the flight before
+        is_flying = self._course_s is not None and self._landing_s == _NEVER_S  # then a restarted operator waits
         if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING and not is_flying:
             self._begin_flight(stamp_s)
         if self._course_s is None and getattr(message, "on_course", False):
@@ -210,7 +209,7 @@ class FaultCollector(Collector):
             self._out.setdefault(vehicle.name, Out(stamp_s, OutCause(vehicle.cause), vehicle.reason))
 
     def result(self, end_s):
-        """Faults."""
+        """The Faults of the flight."""
         end_s = min(end_s, self._over_s)
         begins_s = {key: begin_s for key, begin_s in self._began.items() if begin_s < end_s}
         outcomes = [
@@ -224,7 +223,7 @@ class FaultCollector(Collector):
     def _judge(self, record, begin_s, begins_s):
         """FaultOutcome of a FaultRecord. begins_s: of all faults."""
         until_s = min((other_s for other_s in begins_s if other_s > begin_s), default=_NEVER_S)
-        # from then on vehicles land because the operator has them land
+        # after that, vehicles land because the operator lands them
         said_until_s = min(until_s, max(self._landing_s, begin_s))
         said = [change for change in self._changes["/safety"] if begin_s <= change.time_s < said_until_s]
         landed = {change.vehicle for change in said if change.level >= FailsafeLevel.LAND}

@@ -1,4 +1,4 @@
-"""How far every vehicle was from the net, as its loss ladder sees it: now, and where it could have stopped."""
+"""Distance of every vehicle from the net, as its loss ladder sees it: of its position, and of where it could stop."""
 
 from dataclasses import dataclass, field
 
@@ -11,8 +11,8 @@ from risc_control.fence import Fence
 from risc_control.safety import SafetyLimits
 from risc_lab.lab.vehicle_types import DEFAULT_TYPE, load_vehicle_type
 
-_BLOCK_S = 0.1  # the least margin of so long is one point of the drawing
-_ROWS = 50_000  # more are thinned out; the least margin of all is kept beside them
+_BLOCK_S = 0.1  # the least margin in each such period is one point of the plot
+_ROWS = 50_000  # more are thinned out; the least margin of all is kept separately
 
 
 @dataclass
@@ -26,7 +26,7 @@ class FenceMargin:
     least_place_m: tuple = ()  # (x, y, z) cortex frame
     least_stopped_m: float = np.inf
     samples: Samples = field(default_factory=lambda: Samples(3, _ROWS))  # of the blocks that have ended
-    block: list = field(default_factory=list)  # stamp of its begin [s], and what follows
+    block: list = field(default_factory=list)  # the current row of `table`; [] before the first
 
     @property
     def table(self):
@@ -48,7 +48,7 @@ class FenceMargin:
 
 
 class FenceCollector(PerName):
-    """Its memory does not grow."""
+    """Collects each vehicle's FenceMargin, in constant memory."""
 
     topics = ("/cortex_raw",)
 
@@ -61,7 +61,7 @@ class FenceCollector(PerName):
         limits = limits or SafetyLimits()
         others = {template: Fence(limits, vehicle_type) for template, vehicle_type in (types or {}).items()}
         self._fences = {**others, **(fences or {})}
-        self._unknown = Fence(limits, load_vehicle_type(DEFAULT_TYPE))  # only its net is of use
+        self._unknown = Fence(limits, load_vehicle_type(DEFAULT_TYPE))  # only its net is used
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)
@@ -76,7 +76,7 @@ class FenceCollector(PerName):
 def margin(fence, position_m, velocity_m_s):
     """(margin of the position, of the place where it could have stopped) [m]; both vectors in cortex axes.
 
-    A lower side below the floor is not a net: nothing can come near it.
+    A lower limit below the floor is not a net: no vehicle can come near it.
     """
     now_m = stopped_m = np.inf
     low_x, low_y, low_z = fence.limits.fence_min_m

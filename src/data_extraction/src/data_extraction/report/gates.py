@@ -1,11 +1,11 @@
-"""What the estimator and the mocap client refused, and why: from the counters that they publish."""
+"""What the estimator and the mocap client rejected, and why: from the counters that they publish."""
 
 from collections import Counter
 from dataclasses import dataclass, field
 
 from data_extraction.report.topics import PerName
 
-# How the topic of a node's status ends -> those of its counters that are decisions (words: templates/sections.html).
+# End of the topic of a node's status -> those of its counters that are decisions (texts: templates/sections.html).
 GATES = {
     "estimator_status": ("duplicate_stamps", "backward_stamps", "clock_resets", "markers_left_out", "markers_frozen",
                          "misfits", "collinear", "tilted", "jumps", "outside", "swaps_mended", "filled_in",
@@ -17,21 +17,21 @@ GATES = {
 
 @dataclass
 class GateCounts:
-    """Counters of one node over the bag. They grow while the node lives; after a restart they are added."""
+    """Counters of one node over the bag. They restart with the node; its runs are added up."""
 
-    frames: int = 0  # that it worked on
-    refused: Counter = field(default_factory=Counter)  # how often; every gate, also those that refused nothing
+    frames: int = 0  # that it processed
+    refused: Counter = field(default_factory=Counter)  # gate -> rejections; also gates that rejected nothing
     unknown: str = ""  # bodies without a template
-    newest: Counter = field(default_factory=Counter)  # as the node told them last
+    newest: Counter = field(default_factory=Counter)  # as the node last reported them
 
     def grown(self, name, value):
-        """How much a counter has grown when it is `value` now: less than before is another life of the node."""
+        """Increase of a counter to `value`; a lower value than before means that the node was restarted."""
         newest, self.newest[name] = self.newest[name], value
         return value - newest if value >= newest else value
 
 
 class GateCollector(PerName):
-    """By the end of the topic's name."""
+    """Collects GateCounts by the end of the topic's name."""
 
     ends = tuple("/" + gate for gate in GATES)
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from data_extraction.report.topics import PerName, vehicle_of
 from risc_control.safety import WITHOUT_EFFECT, FailsafeLevel, Rule
 
-_MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
+_MOST_SPANS = 2000  # of one vehicle; beyond that, only landings are kept
 
 
 @dataclass
 class Span:
-    """A time on one level."""
+    """A period on one level."""
 
     vehicle: str  # namespace
     begin_s: float  # receipt
-    end_s: float | None  # None = it lasts
+    end_s: float | None  # None = ongoing
     level: FailsafeLevel
     rule: Rule  # that set the level
     reason: str  # with the numbers of the moment; "" when OK
@@ -49,7 +49,7 @@ class LadderCollector(PerName):
             self.left_out += level != FailsafeLevel.OK
 
     def result(self, end_s):
-        """What lasts does so until the end of the bag."""
+        """{vehicle: [Span, ...]}; an ongoing Span ends with the bag."""
         for spans in self.found.values():
             if spans[-1].end_s is None:
                 spans[-1].end_s = end_s
@@ -63,7 +63,7 @@ def raised(spans_of):
 
 
 def by_rule(spans):
-    """[((vehicle, level, Rule), [how long each of its Spans lasted [s]]), ...] in this order."""
+    """[((vehicle, level, Rule), [how long each of its Spans lasted [s]]), ...], sorted."""
     lengths_s = {}
     for span in sorted(spans, key=lambda span: span.begin_s):
         lengths_s.setdefault((span.vehicle, span.level, span.rule), []).append(span.end_s - span.begin_s)

@@ -1,4 +1,4 @@
-"""Where a bag comes from: what the program that flew wrote beside it, and which parameters that was with."""
+"""Origin of a bag: the files that the flight's program wrote beside it, and the parameters of the flight."""
 
 import contextlib
 import hashlib
@@ -35,15 +35,15 @@ class Origin:
     fleet: Fleet | None = None
     summary: dict = field(default_factory=dict)
     lab: dict = field(default_factory=dict)  # what the virtual lab counted
-    processors: dict = field(default_factory=dict)  # what the programs took of the computer
+    processors: dict = field(default_factory=dict)  # processor time and memory of the programs
 
     @property
     def hash(self):
-        """Of the parameters, None when they are unknown."""
+        """Hash of the parameters, None when they are unknown."""
         return None if self.parameters is None else parameter_hash(self.parameters)
 
     def command_delays_s(self):
-        """{template: delay [s] of the vehicle's link}, as the flight was asked for, else of the vehicle's type."""
+        """{template: delay [s] of the vehicle's link}, as requested for the flight, else of the vehicle's type."""
         asked_s = self.flight.get("arguments", {}).get("delay")
         return {
             vehicle.template: vehicle.vehicle_type.command_delay_s if asked_s is None else asked_s
@@ -51,7 +51,7 @@ class Origin:
         }
 
     def fences(self):
-        """{template: Fence} that the vehicles' nodes had; those that are not known are left out."""
+        """{template: Fence} that the vehicles' nodes used; unknown ones are left out."""
         result = {}
         for vehicle in self.fleet.vehicles if self.fleet else ():
             for node in self._nodes_of(vehicle.namespace):
@@ -71,7 +71,7 @@ class Origin:
         for node in parameters.values():
             names = node.get("vehicles") if isinstance(node, dict) else None
             names = names.split() if isinstance(names, str) else names
-            if isinstance(names, (list, dict)) and namespace in names:  # the virtual lab's is a number
+            if isinstance(names, (list, dict)) and namespace in names:  # that of the virtual lab is a number
                 yield node
 
 
@@ -88,7 +88,7 @@ def read_beside(bag_path, fleet_path=None):
     parameters = _mapping(folder / PARAMETERS) if (folder / PARAMETERS).exists() else None
     fleet = fleet_of(bag_path, fleet_path)
     if fleet is None and parameters and "fleet" in parameters:
-        with contextlib.suppress(ValueError):  # of another revision: the report does without
+        with contextlib.suppress(ValueError):  # of another revision: the report has no fleet then
             fleet = fleet_from_dict(parameters["fleet"])
     return Origin(
         flight={key: value for key, value in flight.items() if value is not None},
@@ -101,9 +101,9 @@ def read_beside(bag_path, fleet_path=None):
 
 
 def parameter_hash(parameters):
-    """SHA-256, as hexadecimal text, of parameters (nested dicts) without what only tells one run from another.
+    """SHA-256, as hexadecimal text, of parameters (nested dicts) without those that differ from run to run.
 
-    Of paths only the last part counts: another folder does not make another parameter.
+    Of paths only the last part counts: another folder does not change the hash.
     """
     text = yaml.safe_dump(_canonical(parameters), sort_keys=True, default_flow_style=False, allow_unicode=True)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -122,7 +122,7 @@ def _canonical(value):
 def _mapping(path, mappings=()):
     """Content of a YAML or JSON file that holds a mapping; {} when there is no such file.
 
-    mappings: its keys that must hold one, too, or nothing.
+    mappings: keys whose values must be mappings too, or be empty.
     """
     if not path.exists():
         return {}
@@ -130,7 +130,7 @@ def _mapping(path, mappings=()):
         text = path.read_text(encoding="utf-8")
         content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, json.JSONDecodeError) as error:
-        reason = "cannot be read (%s)" % " ".join(str(error).split())  # a parser's takes several lines
+        reason = "cannot be read (%s)" % " ".join(str(error).split())  # a parser's message has several lines
         raise ValueError("%s %s: fix it or move it away from the bag" % (path, reason)) from error
     if not isinstance(content, dict):
         raise ValueError("%s is not a YAML mapping: fix it or move it away from the bag" % path)

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing but itself. What it says: templates/report.html, sections.html."""
+"""The report as one self-contained HTML page. Its texts: templates/report.html, sections.html."""
 
 import base64
 import datetime
@@ -14,7 +14,7 @@ from data_extraction.report.topics import expected, vehicle_of
 
 _UNITS = {"m": "\u202fm", "s": "\u202fs", "rad": "\u202frad", "deg": "°", "pct": "\u202f%", "ms": "\u202fms",
           "hz": "\u202fHz"}  # fmt: skip
-# What only the program that flew knows; a report that is made again takes it from the summary beside the bag.
+# Known to the flight's program only; a report that is made later takes it from the summary beside the bag.
 JUDGED = (
     "experiment", "simulated", "passed", "reasons", "limits", "least_separation_m", "lab_late_ms", "video_late_ms",
     "on_schedule",
@@ -23,7 +23,7 @@ ASKED = ("wanted_hz", "given_up")  # of its motion capture, likewise
 
 
 def summary_of(material):
-    """The summary of a bag that is not judged now: its figures, and what the summary beside it says."""
+    """The summary of a bag that is not judged now: its figures, and those of the summary beside it."""
     beside = material.origin.summary
     experiment = material.origin.flight.get("experiment")
     simulated = material.is_simulated and {}
@@ -40,7 +40,7 @@ def write(path, material, summary):
 
 
 def render(template, folder=None, **values):
-    """Text of a page in the style of the reports. folder: where its template is; None: with those of the reports."""
+    """Text of a page in the style of the reports. folder: where its template is; None = the reports' folder."""
     environment = summaries.templates(autoescape=True, folder=folder)
     environment.filters.update(_FILTERS)
     environment.globals.update(plots=plots, hops=HOPS, cell_m=CELL_M, gap_s=GAP_S)
@@ -61,7 +61,7 @@ def _unit(value, factor, unit, digits=1):
 
 
 def _quantity(key, value):
-    """Words of a value that is named with its unit: net_margin_m, 0.05 -> net margin 0.05 m."""
+    """Text of a value whose name ends in its unit: net_margin_m, 0.05 -> net margin 0.05 m."""
     if isinstance(value, bool):
         return "%s: %s" % (key.replace("_", " "), "yes" if value else "no")
     name, _, unit = key.rpartition("_")

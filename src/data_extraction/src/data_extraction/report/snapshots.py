@@ -25,7 +25,7 @@ class Snapshot(NamedTuple):
     camera: str  # front or bottom
     stamp_s: float
     jpeg: bytes
-    found: list[str]  # names of what is drawn in
+    found: list[str]  # names of the objects drawn in
     has_regions: bool  # False: this picture was not searched
 
 
@@ -39,7 +39,7 @@ class SnapshotCollector(Collector):
         self.notes = []  # what went wrong
         self._start_s = start_s
         self._slot_s = max(duration_s / _SLOTS, 1e-3)
-        self._kept = {}  # (vehicle, camera, slot) -> (picture, its Risc_rois; None = none came)
+        self._kept = {}  # (vehicle, camera, slot) -> (picture, its Risc_rois or None)
         self._recent = defaultdict(lambda: deque(maxlen=_RECENT))  # (vehicle, camera) -> (slot, picture)
         self._regions = OrderedDict()  # (vehicle, stamp) -> Risc_rois
 

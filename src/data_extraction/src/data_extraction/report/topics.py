@@ -1,10 +1,10 @@
-"""Whose a topic is, and which type its messages must have: a name alone does not say what is in them."""
+"""Vehicle of a topic, and the type that its messages must have: the name alone does not guarantee the type."""
 
 import functools
 
 from risc_control.vehicles import told_topics
 
-# How a topic's name ends -> name of its type without the package, which differs between the lab's releases.
+# End of a topic's name -> name of its type without the package, which differs between the lab's releases.
 TYPES = {
     "/trajectory": "Trajectories",
     "/trajectory_phase": "TrajectoryPhases",
@@ -38,21 +38,21 @@ TYPES = {
 
 
 class Collector:
-    """Takes the messages of a bag one by one, as (topic, time of receipt [s], message), of the topics that it wants.
+    """Takes the messages of the wanted topics of a bag one by one, as (topic, time of receipt [s], message).
 
-    Afterwards it is asked for its `result(end_s)`; end_s: time of receipt [s] at which the bag ends.
+    Afterwards `result(end_s)` returns what was found; end_s: time of receipt [s] at which the bag ends.
     """
 
-    topics = ()  # their names
-    ends = ()  # how the names of others end
+    topics = ()  # names of wanted topics
+    ends = ()  # ends of the names of further wanted topics
 
     def wants(self, topic):
-        """Whether messages of this topic say anything here."""
+        """Whether messages of this topic are used."""
         return topic in self.topics or ("/" + topic).endswith(self.ends)
 
 
 class PerName(Collector):
-    """Keeps what is said of each vehicle, or of each of other things that have names, which is the result."""
+    """Keeps one record per name, of a vehicle or of something else; these records are the result."""
 
     def __init__(self):
         self.found = {}
@@ -79,9 +79,9 @@ def fits(topic, kind):
 
 
 def vehicle_of(topic, levels=1, alone="vehicle"):
-    """Vehicle's namespace of a topic: /risc1/safety -> risc1; `alone` for the only one, whose topics have none.
+    """Vehicle's namespace of a topic: /risc1/safety -> risc1; `alone` when the topic has none.
 
-    levels: of the topic below the namespace, e.g. 2 for ardrone/navdata.
+    levels: parts of the topic's name below the namespace, e.g. 2 for ardrone/navdata.
     """
     parts = topic.strip("/").split("/")
     return parts[0] if len(parts) > levels else alone

@@ -1,6 +1,6 @@
-"""The part of the browser view's panel that lets faults happen in the virtual lab. No ROS.
+"""The part of the browser view's panel that injects faults into the virtual lab. No ROS.
 
-It is there as long as a virtual lab says which faults it knows.
+It is shown as long as a virtual lab publishes the faults that it knows.
 """
 
 import html
@@ -11,23 +11,23 @@ _CHOSEN, _EACH = "chosen by the lab", "each"
 
 
 class FaultPanel:
-    """Which fault, how much of it, to which vehicle; what acts; what the lab answered."""
+    """Choice of fault, argument and vehicle; active faults; the lab's answer."""
 
     def __init__(self, server, names, inject):
-        """names: of the vehicles.  inject(**fields): a button was pressed; fields of InjectFault, none: end all.
+        """names: of the vehicles.  inject(**fields): a button was pressed; fields of InjectFault; without any: end all.
 
         Called in a thread of its own.
         """
         self._server, self._names, self._inject = server, names, inject
         self._lock = threading.RLock()  # messages, answers and clicks come in threads of their own
         self._folder, self._kinds, self._answer = None, {}, ("", "")
-        self._told, self._began = [], set()  # (class, words) of each fault; ids of those that act or did
+        self._told, self._began = [], set()  # (class, words) of each fault; ids of those that are or were active
 
     def offer(self, kinds):
-        """The lab knows these: FaultKind, rospy's. They take the place of those before."""
+        """Offer the faults that the lab knows (FaultKind of rospy), in place of those before."""
         with self._lock:
             offered = {kind.name: kind for kind in kinds}
-            if offered == self._kinds:  # rospy may bring a latched message twice: choices in the panel stay
+            if offered == self._kinds:  # rospy may deliver a latched message twice: choices in the panel stay
                 return
             self.close()
             self._kinds = offered
@@ -51,7 +51,7 @@ class FaultPanel:
         self._show_status()
 
     def close(self):
-        """The lab has gone."""
+        """Remove this part from the panel and forget the faults."""
         with self._lock:
             if self._folder is not None:
                 self._folder.remove()
@@ -73,7 +73,7 @@ class FaultPanel:
         self._inject(**fields)
 
     def note(self, records):
-        """FaultRecords of those that wait, act or have just ended."""
+        """Show the FaultRecords of faults that wait, are active or have just ended."""
         with self._lock:
             self._told = []
             for record in records:
@@ -85,14 +85,14 @@ class FaultPanel:
             self._show_status()
 
     def note_answer(self, done, text):
-        """What the lab answered."""
+        """Show the lab's answer."""
         with self._lock:
             self._answer = "good" if done else "bad", text
             self._show_status()
 
     def _choose(self):
         with self._lock:
-            if self._fault.value in self._kinds:  # they may have been others before
+            if self._fault.value in self._kinds:  # the kinds may have changed since
                 self._argument.value = ""
                 self._show_kind()
 
@@ -115,7 +115,7 @@ class FaultPanel:
 
 
 def argument_words(kind):
-    """What the argument of a FaultKind is, e.g. "duration 0 to 60 s (default 0.3): mild 0.1, severe 3"."""
+    """Text about the argument of a FaultKind, e.g. "duration 0 to 60 s (default 0.3): mild 0.1, severe 3"."""
     unit = " " + kind.unit if kind.unit else ""
     if kind.least == kind.greatest:
         return "none"

@@ -1,4 +1,4 @@
-"""Asking several at once, and reporting each answer, or that none came. No ROS."""
+"""Ask several at once, and report each answer, or that there was none. No ROS."""
 
 import threading
 
@@ -6,9 +6,9 @@ import threading
 def ask_all(questions, limit_s, tell):
     """Ask all at the same time. questions: dict name -> callable without arguments that returns (done, text).
 
-    tell(name, done, text) is called for every answer, in a thread of its own. What has not answered after `limit_s` [s]
-    is reported as failed then, and once more if an answer comes after all. A question that raises has failed: what it
-    raises is the text.
+    tell(name, done, text) is called for every answer, in a thread of its own. A question without an answer after
+    `limit_s` [s] is reported as failed, and once more if the answer comes later. One that raises has failed, with the
+    exception as its text.
     """
     for item in questions.items():
         threading.Thread(target=_ask, args=(*item, limit_s, tell), daemon=True).start()
@@ -20,8 +20,8 @@ def _ask(name, question, limit_s, tell):
     late.start()
     try:
         done, text = question()
-    except Exception as error:  # whatever it is, it must not look good
+    except Exception as error:  # any error must be reported as a failure
         done, text = False, "%s: %s" % (type(error).__name__, error)
     late.cancel()
-    late.join()  # if it was late, that is told before the answer
+    late.join()  # a timeout is reported before the late answer
     tell(name, done, text)

@@ -1,7 +1,7 @@
-"""What the panel of the browser view says of the laboratory, as HTML. No ROS.
+"""Content of the browser view's panel, as HTML. No ROS.
 
-Every value has an age: what is silent is shown as silent, with its last value, and never as if it were current.
-Times are seconds of a clock that never steps.
+Every value has an age: a silent source is shown as silent, with its last value, and never as if it were current.
+Times are seconds of a monotonic clock.
 """
 
 import html
@@ -13,13 +13,13 @@ from risc_control.vehicles import state_text
 from risc_visual.drawing.palette import vehicle_colour
 
 PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for this long
-# How long a value stays true [s]. Mode and status come 5 times a second and more, what changes seldom is said once, the
-# others come once a second.
+# How long a value stays valid [s]. Mode and status come 5 times a second and more, what changes seldom comes once, the
+# others once a second.
 _TRUE_S = {"mode": 1.0, "vehicle": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
 _TRUE_S.update(safety=math.inf, course=math.inf, refusals=math.inf)
-_SOURCES = {"mode": "vehicle node", "mocap": "motion capture"}  # who says it; of others that is its name
+_SOURCES = {"mode": "vehicle node", "mocap": "motion capture"}  # who sends it; of others, its name
 
-# The last rule is the page's own watch: replacing the text in time restarts the animation before it shows.
+# The rules of page-old are the page's watchdog: replacing the text in time restarts the animation before it shows.
 PAGE_STYLE = (
     """<style>
 .rm { font-size: 0.85em; line-height: 1.45; padding: 0 0.8em 0.4em; }
@@ -42,7 +42,7 @@ class BrowserPanel:
     """The panel of the page: the button that lands all, those that land one, and the status."""
 
     def __init__(self, server, names, land_all, land_one):
-        """names: of the vehicles; land_all(), land_one(name): called in a thread of its own for a button pressed."""
+        """names: of the vehicles; land_all(), land_one(name): called in a thread of its own when a button is hit."""
         gui = server.gui
         gui.set_panel_label("RISC MAAP")
         gui.main_panel.dock_right()
@@ -50,12 +50,12 @@ class BrowserPanel:
         button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, even if flown by hand")
         button.on_click(lambda _event: land_all())
         self.status = gui.add_html("")
-        for name in names:  # a button each: one for several may say another vehicle by the time it is asked
+        for name in names:  # a button each: a chooser may show another vehicle by the time it is read
             gui.add_button("land %s" % name).on_click(lambda _event, name=name: land_one(name))
 
 
 class LiveStatus:
-    """The newest of everything the panel shows. Values are noted in several threads, each replaced as a whole."""
+    """The newest value of everything the panel shows. Values are noted in several threads, each replaced as a whole."""
 
     def __init__(self, vehicles):
         """vehicles: list of `Vehicle`."""
@@ -64,7 +64,7 @@ class LiveStatus:
         self._asked = ("", {})  # time of day of the last press on a land button; who was asked -> (class, text)
 
     def note(self, what, whose, value, now_s):
-        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict), "refusals"
+        """Note a value: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict), "refusals"
         (TakeoffRefusals) of a vehicle by its namespace; "course" (phase), "error_m" of one by its template; "mocap"
         (EstimatorStatus), "references" and "operator" (text of its phase) of "".
         """
@@ -75,11 +75,11 @@ class LiveStatus:
         self._asked = time_of_day, dict.fromkeys(names, ("small", "asked"))
 
     def note_answer(self, name, done, text):
-        """What became of it."""
+        """What a vehicle answered to that."""
         self._asked[1][name] = ("good" if done else "bad", text)
 
     def forget(self):
-        """Nothing was subscribed to for a while: nothing is known. Answers stay."""
+        """Forget all values, since nothing was subscribed to for a while. Answers stay."""
         self._heard = {}
 
     def html(self, now_s, time_of_day):
@@ -94,12 +94,12 @@ class LiveStatus:
         return '<div class="rm">%s</div>' % "".join(parts)
 
     def _news(self, what, whose, now_s):
-        """A value, None when it was never heard or is not true any more."""
+        """A value; None when it was never received or is no longer valid."""
         value, heard_s = self._heard.get((what, whose), (None, -math.inf))
         return value if now_s - heard_s <= _TRUE_S[what] else None
 
     def _told(self, what, whose, now_s, words, lead=""):
-        """A value in words (value -> HTML) while it is true, else that its source is silent, and its last word."""
+        """words(value), as HTML, while the value is valid; else that its source is silent, and its last value."""
         value, heard_s = self._heard.get((what, whose), (None, -math.inf))
         if now_s - heard_s <= _TRUE_S[what]:
             return lead + words(value)
@@ -123,7 +123,7 @@ class LiveStatus:
         name = vehicle.namespace
         title = "<b>%s</b> %s" % (html.escape(name), html.escape(vehicle.template))
         lines = ["%s, %s" % (title, self._told("mode", name, now_s, _mode_words))]
-        if self._news("mode", name, now_s) is not None:  # who says the mode, says the safety, when it changes
+        if self._news("mode", name, now_s) is not None:  # the node that sends the mode sends the safety on change
             safety = self._news("safety", name, now_s)
             good = safety is None or safety.level == FailsafeLevel.OK
             lines.append(_span("good" if good else "bad", "safety: " + (html.escape(safety.text) if safety else "?")))
@@ -135,7 +135,7 @@ class LiveStatus:
         return '<div class="vehicle" style="border-color: %s">%s</div>' % (colour, "<br/>".join(lines))
 
     def _way_html(self, vehicle, now_s):
-        """Where it is on its way, and how far from its reference, as far as known."""
+        """Phase on its course, and distance from its reference, where known."""
         found = []
         if self._news("references", "", now_s):
             found = [html.escape(self._news("course", vehicle.template, now_s) or "")]

@@ -1,8 +1,8 @@
-"""What rviz would show, in the scene of a page by viser that loads nothing from elsewhere. Needs no ROS master.
+"""What rviz would show, as the scene of a viser page that loads nothing from elsewhere. Needs no ROS master.
 
 The scene is a tree: `/topic/ns` is a group that has a pose in the fixed frame, `/topic/ns/id` a marker that has a pose
-in its group. A group's pose is that of its first marker, so that of a vehicle that flies only the group moves, not
-every part of it. Times are seconds of a clock that never steps; frames are named as in tf.
+in its group. A group's pose is that of its first marker, so that only the group of a flying vehicle moves, not
+every part of it. Times are seconds of a monotonic clock; frames are named as in tf.
 """
 
 import threading
@@ -19,8 +19,8 @@ FIXED_FRAME = "cortex"
 _SAME_M = 1e-5  # positions nearer than this are the same
 _SAME_TURN = 1e-9  # and so are quaternions whose product differs from 1 by less: 0.005 degrees
 _MOST = 1e9
-_WAITS_S = 1.0  # for the pose of a marker's frame; later it would be drawn where it was, not where it is
-_EYE_M, _LOOKS_AT_M, _FIELD_RAD = (-6.3, 3.6, 4.2), (0.0, -0.1, 0.9), 0.75  # where the view begins
+_WAITS_S = 1.0  # of waiting for the pose of a marker's frame; after that the marker is outdated
+_EYE_M, _LOOKS_AT_M, _FIELD_RAD = (-6.3, 3.6, 4.2), (0.0, -0.1, 0.9), 0.75  # of the initial view
 _TILE_M = 0.5
 _AMBIENT = 1.0  # beside viser's own two lights
 _WXYZ = [3, 0, 1, 2]  # of a quaternion x, y, z, w: viser's order
@@ -29,17 +29,17 @@ _SEEN = ("type", "scale", "color", "points", "colors", "text")  # fields of a ma
 
 @dataclass
 class _Member:
-    """One marker: what was said of it last, and what was drawn of it."""
+    """One marker: its newest message, and what was drawn of it."""
 
     marker: Marker = None
     waits_since_s: float | None = None  # for the pose of its frame; None = it is placed
     ends_s: float = np.inf
-    pose: np.ndarray | None = None  # (7,) position and quaternion x, y, z, w in the fixed frame, of
-    placed: Marker | None = None  # the last one that was placed
-    handle: object = None  # viser's of what is drawn,
-    drawn: Marker | None = None  # that marker,
-    look: tuple | None = None  # what stands for it,
-    drawn_pose: np.ndarray | None = None  # and its pose in the group
+    pose: np.ndarray | None = None  # (7,) position and quaternion x, y, z, w of `placed` in the fixed frame
+    placed: Marker | None = None  # the last message that was placed
+    handle: object = None  # viser's handle of what is drawn
+    drawn: Marker | None = None  # the message that is drawn
+    look: tuple | None = None  # its look, of `look_of`
+    drawn_pose: np.ndarray | None = None  # its pose in the group
 
 
 class MarkerScene:
@@ -53,7 +53,7 @@ class MarkerScene:
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         view = server.initial_camera
         view.position, view.look_at, view.fov = _EYE_M, _LOOKS_AT_M, _FIELD_RAD
-        # Light that is cheap: the page must do on computers whose browser draws by software.
+        # Cheap light: the page must work on computers whose browser renders in software.
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(enabled=True, cast_shadow=False)
         server.scene.add_light_ambient("/light", intensity=_AMBIENT)
@@ -69,7 +69,7 @@ class MarkerScene:
         )
 
     def note(self, topic, markers, now_s):
-        """A message came in. Returns the types among its markers that cannot be shown."""
+        """Take the markers of a message. Returns the types among them that cannot be shown."""
         strange = set()
         topic = "/%s/" % _name(topic.strip("/"))
         with self._lock:
@@ -89,11 +89,11 @@ class MarkerScene:
         return strange
 
     def draw(self, now_s, lookup):
-        """Show what has changed since the last time. Returns how much that was.
+        """Show what has changed since the last time. Returns the number of changes.
 
         lookup(frame, stamp): geometry_msgs/Transform from a frame to the fixed one, None if that is not known (yet). A
-        marker that waits for its frame is not drawn, and after a second it is forgotten. Raises the first error,
-        afterwards: what cannot be drawn keeps nothing else from being drawn.
+        marker that waits for its frame is not drawn, and after a second it is forgotten. Raises the first error
+        at the end: what cannot be drawn keeps nothing else from being drawn.
         """
         problems, count = [], 0
         with self._lock, self._server.atomic():
@@ -108,7 +108,7 @@ class MarkerScene:
         return count
 
     def clear(self):
-        """Clear all: nothing is kept, and only the floor is drawn."""
+        """Remove everything but the floor."""
         with self._lock:
             for group in self._groups.values():
                 group.end(list(group.members))
@@ -163,7 +163,7 @@ class _Group:
         for (number, member), pose in zip(placed, own):
             try:
                 count += _show(scene, "%s/%d" % (self._path, number), member, pose)
-            except Exception as error:  # whatever it is, the others are drawn
+            except Exception as error:  # after any error the others are still drawn
                 problems.append(error)
         return count
 
@@ -194,7 +194,7 @@ def _show(scene, path, member, pose):
     place = {"position": pose[:3], "wxyz": turn_of(marker, pose[3:])[_WXYZ]}
     changes = {} if stays else place
     if not same:
-        member.drawn = None  # if it cannot be shown
+        member.drawn = None  # in case it cannot be shown
         method, fixed, free = look = look_of(marker)
         if member.look and method == member.look[0] and _are_equal(fixed, member.look[1]):
             changes = {**changes, **free}
@@ -225,7 +225,7 @@ def _pose(marker):
 
 
 def _carried(transform, pose):
-    """A pose (7,) in the frame to which a geometry_msgs/Transform leads."""
+    """A pose (7,), transformed by a geometry_msgs/Transform."""
     at, turn = transform.translation, transform.rotation
     rotation = Rotation.from_quat((turn.x, turn.y, turn.z, turn.w))
     position = rotation.apply(pose[:3]) + (at.x, at.y, at.z)
@@ -238,7 +238,7 @@ def _is_near(pose, other):
 
 
 def _is_sound(marker):
-    """False for numbers that are not finite, or that no picture can hold."""
+    """False for numbers that are not finite, or too large to be drawn."""
     at, turn, size, colour = marker.pose.position, marker.pose.orientation, marker.scale, marker.color
     numbers = [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w, size.x, size.y, size.z]
     numbers += [value for item in (colour, *marker.colors) for value in (item.r, item.g, item.b, item.a)]

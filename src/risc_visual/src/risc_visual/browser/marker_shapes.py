@@ -1,4 +1,4 @@
-"""visualization_msgs/Marker -> what stands for it in a page by viser (three.js). Needs no ROS master."""
+"""visualization_msgs/Marker -> its shape in a page by viser (three.js). Needs no ROS master."""
 
 import cv2
 import numpy as np
@@ -9,11 +9,11 @@ _FAINT = 0.5  # texts less opaque than this are scenery: they lie on the floor, 
 _FACETS = 2  # subdivisions of a ball, enough for what is small on the screen
 _ROUND = 24  # sides of a cylinder
 _LINE_MIN_M = 0.012  # a thinner line breaks up on a screen
-_SHEET_M = 0.05  # a faint box that is thinner hides, for three.js, what is behind it: it is drawn as a net of lines
+_SHEET_M = 0.05  # a thinner faint box would hide what is behind it in three.js: it is drawn as a net of lines
 _MESH_M, _MESH_LINE_M = 0.5, 0.006  # distance and width of these lines
 _LABEL = 0.65  # of a text's height: a label stands on a white card that makes it larger
 _TEXT_PX = 48  # height of a text on the floor, in its picture
-# Texts on the floor are read from -x, where the view begins: their right is -y, their top is +x. A picture's own axes
+# Texts on the floor are read from -x, as in the initial view: their right is -y, their top is +x. A picture's own axes
 # are x to its right and y down.
 _ON_FLOOR = np.array((np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0))  # x, y, z, w
 _LINES = (Marker.LINE_STRIP, Marker.LINE_LIST)
@@ -24,7 +24,7 @@ SHAPES = frozenset(  # types that can be shown
 
 
 def look_of(marker):
-    """(method of viser's scene that adds it, dict of what is fixed then, dict of what may change in place)."""
+    """(method of viser's scene that adds it, dict of its fixed arguments, dict of those that may change in place)."""
     size_m, rgba = (marker.scale.x, marker.scale.y, marker.scale.z), _rgba(marker.color)
     opacity = None if rgba[3] >= 1.0 else rgba[3]
     solid = {"color": rgba[:3], "opacity": opacity, "cast_shadow": False, "receive_shadow": False}
@@ -75,7 +75,7 @@ def _rgba(colour):
 
 
 def _mixed(colour):
-    """A colour on the ground of the page, as integers."""
+    """A colour blended with the page's background, as integers."""
     *rgb, alpha = _rgba(colour)
     return (255.0 * (alpha * np.array(rgb) + (1.0 - alpha) * _GROUND_RGB)).astype(np.uint8)
 
@@ -119,7 +119,7 @@ def _arrow(marker, a, b, c):
 
 
 def text_picture(text, rgba):
-    """A line of text as a picture (h, w, 4) uint8: its colour on nothing."""
+    """A line of text as a picture (h, w, 4) uint8 with a transparent background."""
     font, stroke = cv2.FONT_HERSHEY_SIMPLEX, 3
     scale = cv2.getFontScaleFromHeight(font, int(0.6 * _TEXT_PX), stroke)
     (width, _), _ = cv2.getTextSize(text, font, scale, stroke)

@@ -1,6 +1,6 @@
-"""viser's server, which talks only to its own page.
+"""viser's server, which accepts connections of its own page only.
 
-What is used of viser and websockets beyond what they document is here: that viser calls websockets' `serve`, viser's
+All use of undocumented parts of viser and websockets is here: that viser calls websockets' `serve`, viser's
 `request_share_url`, its message of an upload, and the name of websockets' log.
 """
 
@@ -22,23 +22,23 @@ import websockets.asyncio.server
 from risc_lab.strangers import Guests, Strangers
 
 MAX_CONNECTIONS, MAX_OF_ONE_ADDRESS = 64, 16  # at a time; a page has one, and a few more while it loads
-MAX_MESSAGE_BYTES = 1 << 18  # pages tell clicks and from where they look
+MAX_MESSAGE_BYTES = 1 << 18  # pages send clicks and their viewpoint
 MAX_MESSAGES_S = 500  # of one page; while the view is turned it sends some tens a second
 
 
 def open_server(host, port, guests=None, strangers=None):
     """viser.ViserServer on an address and port of this computer. Raises ValueError that says what to change.
 
-    guests: risc_lab.strangers.Guests who may come beside this computer.  strangers: Strangers, told of others.
+    guests: risc_lab.strangers.Guests that may connect beside this computer.  strangers: Strangers, which counts others.
     """
     threading.Thread(target=_full_name, daemon=True).start()
     _check_free(host, port)
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # else: a traceback for every page that hangs up
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # else: a traceback for every page that closes
     strangers = strangers or Strangers(lambda level, text: None, "port %d" % port)
     with (
         _guard_server(guests or Guests(), strangers),
         contextlib.redirect_stdout(io.StringIO()),
-    ):  # its banner; who starts it says where
+    ):  # hides viser's banner; the caller logs the address
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if server.get_port() != port:
         server.stop()
@@ -51,10 +51,10 @@ def open_server(host, port, guests=None, strangers=None):
 
 @contextlib.contextmanager
 def _guard_server(guests, strangers):
-    """A server started meanwhile lets in few, and talks only to its own page, not to all that a browser here has open.
+    """A server started in this context limits its connections and accepts those of its own page only.
 
-    A browser lets any page connect to any address, and says in Origin whose page it is. viser has no setting for
-    either, so its call of websockets is given the checks.
+    A browser lets any page connect to any address, and names the page's address in Origin. viser has no setting for
+    either, so the checks are put into its call of websockets.
     """
     serve = websockets.asyncio.server.serve
     guarded = []
@@ -80,14 +80,14 @@ def _guard_server(guests, strangers):
 
 
 def _guarded_connections(guests, strangers):
-    """Class of a server's connections: guests, and not more than so many, who send not more than so much. Silent ones
-    are cut off by websockets.
+    """Class of a server's connections: accepts guests only, limits their number and how much they send. Silent ones
+    are closed by websockets.
     """
     present = Counter()  # connections by address
 
     class Connection(websockets.asyncio.server.ServerConnection):
         _address = None  # None: it was refused
-        _second = _messages = 0  # of the server's clock; how many came in it
+        _second = _messages = 0  # second of the server's clock; messages in it
 
         def connection_made(self, transport):
             peer, here = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
@@ -129,9 +129,9 @@ def _guarded_connections(guests, strangers):
 
 
 def is_page_of_others(headers):
-    """True when a browser asks for a page that is not ours, or that did not come from the address asked.
+    """True when a request comes from a page of another address (Origin), or asks for a host that is not ours (Host).
 
-    headers: of the request. The owner of a name on the internet can let it lead to this computer (DNS rebinding), and
+    headers: of the request. The owner of a name on the internet can point it to this computer (DNS rebinding), and
     his page then has the same Host as Origin: so Host must be a name that this computer has, or an address, which
     cannot be redirected.
     """
@@ -141,7 +141,7 @@ def is_page_of_others(headers):
         if origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != host:
             return True
         name = urllib.parse.urlsplit("//" + host).hostname or ""
-    except ValueError:  # they are nothing that a browser sends
+    except ValueError:  # no browser sends such headers
         return True
     return not _is_ours(name)
 
@@ -160,12 +160,12 @@ def _is_ours(name):
 
 @functools.cache
 def _full_name():
-    """With its domain. Asked for once, before the server runs: a name server that is out of reach takes seconds."""
+    """Name with domain. Looked up once, before the server runs: with an unreachable name server it takes seconds."""
     return socket.getfqdn().lower()
 
 
 def _check_free(host, port):
-    """viser itself would take the next free port instead, where it is not found."""
+    """Raise ValueError when the port cannot be used: viser would take the next free one, where nobody finds it."""
     try:
         socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError as error:

@@ -1,1 +1,1 @@
-"""What is drawn of the laboratory: vehicles, trails, rays, the room. Needs no ROS."""
+"""What is drawn of the laboratory: vehicles, trails, rays, the arena. Needs no ROS."""

@@ -1,4 +1,4 @@
-"""What is drawn, and as what: numbers of names, news, marks of references, the title. Needs no ROS."""
+"""Common parts of drawing: numbers of names, validity of messages, marks of references, the title. Needs no ROS."""
 
 import math
 
@@ -6,7 +6,7 @@ REST_M_S = 0.01  # a reference slower than this counts as standing still
 
 
 class Index(dict):
-    """A number for every name, the same as long as the program runs; so ids and colours never change hands."""
+    """A number for every name, fixed while the program runs; so each name keeps its id and colour."""
 
     def __init__(self, names=()):
         super().__init__({name: number for number, name in enumerate(dict.fromkeys(names))})
@@ -16,8 +16,8 @@ class Index(dict):
 
 
 def is_news(said_s, now_s, lifetime_s):
-    """Whether what was said then is still true. Times [s] of ROS, by which rviz lets markers expire: so it is as true
-    in a bag that is played slowly. A time far ahead of now belongs to a bag that was restarted.
+    """Whether a message of the time said_s is still valid. ROS times [s], by which rviz lets markers expire: so a bag
+    may be played slowly. A time far ahead of now belongs to a bag that was restarted.
     """
     return abs(now_s - said_s) < lifetime_s
 
@@ -30,7 +30,7 @@ def reference_marks(references_m, speeds_m_s, positions_m, vehicles, away_m):
     away when the vehicle is farther than away_m, or not seen.
     """
     away = {
-        name: name in vehicles  # the original release puts a title there, which is nowhere
+        name: name in vehicles  # the original release puts a title there, which is no vehicle
         and (name not in positions_m or math.dist(positions_m[name], reference_m) > away_m)
         for name, reference_m in references_m.items()
     }

@@ -10,7 +10,7 @@ WHITE_RGB = (1.0, 1.0, 1.0)
 # Those of the original release; other paints have the colour of their hue.
 SPHERE_RGB = {"orange": (1.0, 0.6, 0.0), "green": (0.0, 1.0, 0.0), "blue": (0.0, 0.0, 1.0), "pink": (1.0, 0.0, 0.5)}
 RAY_RGB = {**SPHERE_RGB, "orange": (1.0, 0.27, 0.0), "pink": (0.78, 0.082, 0.52)}
-# Told apart from each other on a dark ground, and from what has a meaning: red (flown), green (desired).
+# Distinct from each other on a dark ground, and from colours with a meaning: red (flown), green (desired).
 _VEHICLES_RGB = (
     (0.30, 0.70, 1.00),
     (1.00, 0.80, 0.25),
@@ -27,7 +27,7 @@ _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
 
 
 def on_white(rgb):
-    """(r, g, b) on a white ground of what is (r, g, b) on black: greys are turned round, bright colours are darker."""
+    """(r, g, b) for a white ground from (r, g, b) for a black one: greys are inverted, bright colours darkened."""
     rgb = np.asarray(rgb, dtype=float)
     if np.ptp(rgb) < _GREY_CHROMA:
         return tuple((1.0 - rgb).tolist())
@@ -53,7 +53,7 @@ def ray_colours(landmarks):
 
 
 def _rgb(known, paint, ranges):
-    """(r, g, b) of a paint; of one that is not known that of the middle of its hues, which may wrap through red."""
+    """(r, g, b) of a paint; if not known, from the middle of its range of hues, which may wrap through red."""
     if paint in known:
         return known[paint]
     first, last = ranges[paint].hue

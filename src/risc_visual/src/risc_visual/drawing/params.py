@@ -10,20 +10,20 @@ class ArenaParams(Settings):
     """Settings of draw_risc_maap."""
 
     arena_file: str = ""  # arena to draw; "" = config/arena.yaml of this package, around the net of /fleet
-    refresh_hz: Positive = 1.0  # what never moves is sent at this rate: it expires after three rounds without
+    refresh_hz: Positive = 1.0  # static markers are sent at this rate; they expire after three periods without
 
 
 @dataclass(frozen=True)
 class DrawingParams(Settings):
-    """What the nodes share that draw what moves."""
+    """Settings of all nodes that draw moving things."""
 
     rate_hz: Positive = 25.0  # of drawing; what arrives in between is not even deserialised
-    lifetime_s: Positive = 1.0  # without news after which what moves vanishes
+    lifetime_s: Positive = 1.0  # without a message after which moving things vanish
 
 
 @dataclass(frozen=True)
 class FleetDrawingParams(DrawingParams):
-    """What those share that draw vehicles."""
+    """Settings of all nodes that draw vehicles."""
 
     vehicles: tuple[str, ...] = ()  # that get the first colours and ids, in this order; () = those of /fleet
 
@@ -71,7 +71,7 @@ class RayParams(DrawingParams):
     max_age_s: Positive = 5.0  # a picture older than the newest sight of its vehicle by this is not drawn
     length_m: Positive = 4.0
     width_m: Positive = 0.04
-    template_width_m: Positive = 0.01  # under the name of a mocap template: once such bearings were not measurements
+    template_width_m: Positive = 0.01  # under a mocap template's name: no measurements in the original release
     alpha: Fraction = 0.4  # how opaque rays are
     azimuth_max_deg: Positive = 40.0  # a bearing farther than this from the optical axis is not drawn
     elevation_max_deg: Positive = 30.0

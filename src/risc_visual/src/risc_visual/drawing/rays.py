@@ -11,7 +11,7 @@ import numpy as np
 from risc_lab.camera import rays_of_bearings
 from risc_visual.drawing.palette import WHITE_RGB, ray_colours, vehicle_colour
 
-_AHEAD_S = 0.5  # [s] a picture newer by this than the last sight of its vehicle may still get a place
+_AHEAD_S = 0.5  # [s] a picture at most this much newer than the last sight of its vehicle is still placed
 
 
 class Ray(NamedTuple):
@@ -25,12 +25,12 @@ class Ray(NamedTuple):
 
 
 class RayStyles:
-    """How the ray towards everything looks that can be seen, and whether it is drawn at all."""
+    """Width and colour of the rays towards all known objects, and which rays are drawn."""
 
     def __init__(self, params, landmarks, vehicles):
         """params: params.RayParams. landmarks: landmark_config.LandmarksConfig.
 
-        vehicles: of each vehicle all its names, in the order in which they have their colours.
+        vehicles: for each vehicle all its names, in the order of the colours.
         """
         self._params = params
         # Thin under a template's name: in the original release such bearings were not measurements.
@@ -42,7 +42,7 @@ class RayStyles:
         }
 
     def rays(self, bearings, to_vehicles=False):
-        """Rays of the bearings that are seen and within the limits; of several with one name, of the first.
+        """Rays of the bearings that are seen and within the limits; of several with the same name, the first.
 
         bearings: risc_estimation.bearings.Bearings, of landmarks or of vehicles. Returns a list of Ray.
         """
@@ -61,22 +61,22 @@ class RayStyles:
 
 
 class Whereabouts:
-    """When motion capture last saw each vehicle: the picture of a vehicle has a place only near such a time."""
+    """When motion capture last saw each vehicle: the picture of a vehicle can be placed only near such a time."""
 
     def __init__(self, max_age_s):
-        """max_age_s: [s] a picture that is older than the newest sight of its vehicle by this has no place any more."""
+        """max_age_s: [s] a picture that is older than the newest sight of its vehicle by this cannot be placed."""
         self._max_age_s, self._seen_s = max_age_s, {}
 
     def note(self, stamp_s, visible):
-        """A frame of motion capture. visible: dict name of vehicle -> bool."""
+        """Take a frame of motion capture. visible: dict name of vehicle -> bool."""
         for name, is_seen in visible.items():
             self._seen_s[name] = stamp_s if is_seen else self._seen_s.get(name, -math.inf)
 
     def stamp_of(self, name, stamp_s):
-        """Time [s] at which to place a vehicle's picture, None if there is no place for it.
+        """Time [s] at which to place a vehicle's picture, None if it cannot be placed.
 
         stamp_s: of the picture; 0 = not stamped (bags of the original release): then it is the newest sight. The
-        picture of a vehicle that motion capture has never named (a camera on a stand) is not judged.
+        picture of a vehicle that motion capture has never named (a camera on a stand) is placed at its stamp.
         """
         seen_s = self._seen_s.get(name, stamp_s)
         at_s = stamp_s or seen_s
@@ -84,7 +84,7 @@ class Whereabouts:
 
 
 class Shown:
-    """What has been drawn and not been renewed for a lifetime: rviz forgets it, but not what it had to say of it.
+    """Markers that were not renewed for a lifetime: rviz drops them, but not its status messages about them.
 
     Times are seconds of the clock by which rviz lets markers expire.
     """
@@ -93,7 +93,7 @@ class Shown:
         self._lifetime_s, self._until_s = lifetime_s, {}
 
     def renew(self, keys, now_s):
-        """These are drawn now."""
+        """Note that these are drawn now."""
         self._until_s.update(dict.fromkeys(keys, now_s + self._lifetime_s))
 
     def pop_expired(self, now_s):

@@ -34,7 +34,7 @@ class Net(Arena):
 
 @dataclass(frozen=True)
 class Grid(Settings):
-    """Numbers along two edges of the floor, outside of the net: those on which the saved views look from outside."""
+    """Numbers along two edges of the floor, outside of the net, on the sides from which the saved views look."""
 
     step_m: Positive = 0.5
     outside_m: Positive = 0.5  # of the net
@@ -81,7 +81,7 @@ class Scenery(Settings):
     cameras: Cameras
 
     def around(self, arena):
-        """The same laboratory around another Arena: the cameras are as far from its net."""
+        """The same laboratory with another Arena: the cameras keep their distance from the net."""
         out_m = np.array([arena.half_x_m - self.net.half_x_m, arena.half_y_m - self.net.half_y_m, 0.0])
         poses = tuple(
             replace(pose, position_m=tuple((pose.position_m + np.sign(pose.position_m) * out_m).tolist()))

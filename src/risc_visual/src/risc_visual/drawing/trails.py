@@ -29,7 +29,7 @@ class Trail:
         self._end = None  # (stamp [s], position (3,) [m]) newest position
 
     def add(self, stamp_s, position_m):
-        """Go to a position (3,) [m]. A stamp before the last one (a bag that starts again) forgets the path."""
+        """Add a position (3,) [m]. A stamp before the last one (a bag that starts again) clears the path."""
         (last_s, last_m), self._end = self._end or (stamp_s, position_m), (stamp_s, position_m)
         if stamp_s < last_s:
             self._pieces.clear()
@@ -45,14 +45,14 @@ class Trail:
                 self._begin_piece()  # starts where the last one ends: no gap to be seen
 
     def _begin_piece(self):
-        """At the newest position; of too many the oldest goes."""
+        """Begin a piece at the newest position; if there are too many, the oldest is dropped."""
         stamp_s, position_m = self._end
         self._pieces.append(Piece(self._count % MAX_PIECES, [position_m], stamp_s))
         self._count += 1
 
     def to_send(self, now_s, turn, turns):
-        """Pieces to send in this turn: the one that grows, those just finished, and of the others every one once in
-        `turns` turns, so that what was sent with a limited life stays alive.
+        """Pieces to send in this turn: the growing one, those just finished, and each of the others once in `turns`
+        turns, so that their markers do not expire.
 
         now_s: time on the clock of the stamps [s]. Returns a list of (slot, points [m], age), age being that of the
         newest point as a fraction of the path's duration; what is older than the duration is forgotten.

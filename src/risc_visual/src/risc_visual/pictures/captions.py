@@ -1,4 +1,4 @@
-"""The texts of a picture: names beside what they name, the rest in one panel at the edge. Needs no ROS and no rviz.
+"""The texts of a picture: names beside their objects, the rest in one panel at the edge. Needs no ROS and no rviz.
 
 No text covers another or a vehicle. rviz cannot do this (its texts are points of the scene), so it draws none of them
 and they are written here. Pixels: x right, y down, (0, 0) is the top left corner.
@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 PANEL = 0.21  # of the picture's width
-_EVEN_PX = 16  # the scene's width is a multiple: drawing in software likes it
+_EVEN_PX = 16  # the scene's width is a multiple of this, which suits rendering in software
 _EM = 1.0 / 56.0  # height of letters / height of the picture
 _EM_MIN_PX = 9
 _SMALL = 0.8  # numbers on the floor and paragraphs / the other texts
@@ -41,10 +41,10 @@ class Name(NamedTuple):
 
     text: str
     anchor_px: tuple[float, float]
-    reach_px: tuple[float, float]  # across and up and down from the anchor: of what is named
+    reach_px: tuple[float, float]  # half width and half height of the named object around the anchor
     rgb: tuple[float, float, float]  # 0..1
     movable: bool = True  # False: stands at its anchor, or nowhere
-    vehicle: bool = False  # nothing may be written over what is named
+    vehicle: bool = False  # nothing may be written over the named object
 
 
 class Row(NamedTuple):
@@ -114,7 +114,7 @@ def lay_out(names, rows, size_px, scheme):
 
 
 def _place_names(found, names, em, scene):
-    """What stands still goes first, then vehicles, then the rest."""
+    """Place names: first those that are not movable, then those of vehicles, then the rest."""
     for name in sorted(names, key=lambda name: (name.movable, not name.vehicle)):
         size = em if name.movable else round(_SMALL * em)
         taken = found.vehicles + [item.box for item in found.texts]
@@ -140,7 +140,7 @@ def _candidates(name, wide, high):
 
 
 def _place_rows(found, rows, em, scheme):
-    """From the top of the panel downwards; long ones are wrapped, what has no room is left out."""
+    """Place rows from the top of the panel downwards; long ones are wrapped, those without room left out."""
     width, height = found.size_px
     left, right, y = found.scene_px + em, width - 0.5 * em, 1.2 * em
     for row in rows:
@@ -161,7 +161,7 @@ def _place_rows(found, rows, em, scheme):
 
 
 def _wrapped(text, size, bold, room_px):
-    """Lines of a text that are at most so wide."""
+    """Lines of a text, at most room_px wide."""
     for paragraph in text.split("\n"):
         columns = len(paragraph)
         while columns > 8 and max(_extent(line, size, bold)[0] for line in textwrap.wrap(paragraph, columns)) > room_px:
@@ -218,6 +218,6 @@ def _extent(text, size, bold=False):
 
 
 def _font(size, bold=False):
-    """matplotlib's own, which is there wherever matplotlib is."""
+    """matplotlib's own font, which is installed with matplotlib."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(pathlib.Path(matplotlib.get_data_path(), "fonts", "ttf", name)), size)

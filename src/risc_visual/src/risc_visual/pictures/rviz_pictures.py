@@ -43,7 +43,7 @@ from risc_visual.pictures.orbit_view import (
 )
 from risc_visual.pictures.virtual_screen import VirtualScreen, save_picture
 
-NAME = "/maap_screenshot"  # under which the master is asked
+NAME = "/maap_screenshot"  # caller's name in requests to the master
 CAMERAS, GRID, TITLE, TUNER = "/Cameras", "/Grid", "/desired_trajectory_name", "/transform_tuner/text"
 VEHICLES, VEHICLE_NAMES, MODE, BATTERY = "/Quad_Markers", "/Quad_Labels", "/Ctrl_Status", "/Battery_Status"
 REFERENCES, REFERENCE_NAMES = "/desired_trajectory", "traj_name"  # topic, and namespace of its texts
@@ -51,8 +51,8 @@ NAMES = (VEHICLE_NAMES, "/Land_Labels", "/Way_Labels")
 TEXTS = (GRID, TITLE, MODE, BATTERY, TUNER, *NAMES)  # topics of nothing but texts, which captions writes
 KEY = (("desired path", REFERENCES, "traj_line"), ("path flown", "/Quad_trajectory", "quad_line"))  # topic, namespace
 RECORDED = (*TEXTS, VEHICLES, REFERENCES, "/Quad_trajectory")
-VEHICLE_REACH_M = (0.36, 0.12)  # across and up and down: of nose and rotors from its centre, and a little more
-HANDLES_REACH_M = (0.45, 0.45)  # with what turns and moves its camera
+VEHICLE_REACH_M = (0.36, 0.12)  # half width and half height: nose and rotors from its centre, and a little more
+HANDLES_REACH_M = (0.45, 0.45)  # with the handles of its camera
 THING_REACH_M = (0.1, 0.1)  # of a landmark, a waypoint
 
 
@@ -77,16 +77,16 @@ HANDLES = "rviz/InteractiveMarkers"  # a view with this display is one of the tr
 FRAMES = ("/tf", "/tf_static")
 DRAWN = ("/cortex_raw", "/mocap_data", "/states3", "/trajectory", "/trajectory_phase", BEARINGS)  # have a listener each
 OF_VEHICLES = ("safety", "controller_status", "vehicle_status", "ardrone/navdata")
-BEFORE_END_S = 0.5  # of the course: still on it
+BEFORE_END_S = 0.5  # of the course, so that the vehicles are still on it
 DRAWN_WITHIN_S = 0.2  # rays: drawn after 0.04 s at most, gone after 0.3 s
 LEAD_S = 20.0  # played before the picture: the paths are as long as that
-# The end is played slowly: what rviz draws late, when the clock stands already, would never expire.
-SLOW_S = 1.0  # longer than the lifetimes of what comes and goes
+# The end is played slowly: what rviz draws late, when the clock has stopped, would never expire.
+SLOW_S = 1.0  # longer than the lifetimes of short-lived markers
 SLOW_RATE = 0.2
 STEP_S = 0.01  # forward between the two parts: rviz forgets everything when the clock steps back
-FRAME_RATE_HZ = 5  # of rviz: enough for a picture, and the nodes that draw keep their time
+FRAME_RATE_HZ = 5  # of rviz: enough for a picture, and leaves processor time to the drawing nodes
 START_PATIENCE_S = 300.0  # for rviz and the drawing nodes, on a busy computer
-REST_PERIOD_S = 0.07  # not that of the drawing nodes, who sleep 0.04 s after every message
+REST_PERIOD_S = 0.07  # not the 0.04 s that the drawing nodes sleep after every message
 REST_LOOKS = 10
 REST_PATIENCE_S = 300.0
 PLAY_MARGIN_S = 300.0  # beyond the time that is played
@@ -99,7 +99,7 @@ class View(NamedTuple):
     name: str  # of its file
     config: dict  # of rviz, for a picture of this size
     size_px: tuple  # (width, height)
-    camera: OrbitView | None = None  # None: of a kind that is not known here; then rviz draws the texts, too
+    camera: OrbitView | None = None  # None: no orbit view in the fixed frame; then rviz draws the texts, too
     scheme: captions.Scheme = DARK
 
     @property
@@ -111,8 +111,8 @@ class View(NamedTuple):
 def moment_of(bag):
     """The time [s] in an opened Bag that is worth a picture: just before the operator calls the vehicles home.
 
-    With bearings the last time on the course at which as many landmarks are seen as ever. Of a bag without an operator
-    the middle.
+    With bearings: the last time on the course at which the most landmarks are seen. Without an operator: the middle of
+    the bag.
     """
     begin_s, end_s = bag.start_s, bag.start_s + bag.duration_s
     found_s = 0.5 * (begin_s + end_s)
@@ -283,7 +283,7 @@ def layout_of(view, drawn, time_text=""):
 
 
 def outline_m(across, up):
-    """(n, 3) [m] around the middle of a flat thing that reaches so far."""
+    """(n, 3) [m] points around a flat object at the origin: a ring of radius `across`, and `up` above and below."""
     turns = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     ring = across * np.column_stack((np.cos(turns), np.sin(turns), np.zeros(16)))
     return np.vstack((ring, [(0.0, 0.0, up), (0.0, 0.0, -up)]))
@@ -339,7 +339,7 @@ def _rviz(view, folder, network):
 
 
 def _unprepared(master):
-    """What rviz has to find when it starts, as a list of texts: a master that tells it whose clock is the clock."""
+    """What rviz still needs before it starts, as a list of texts: a master with /use_sim_time set."""
     try:
         _, _, simulated = master.getParam(NAME, "/use_sim_time")
     except (OSError, xmlrpc.client.Error):
@@ -348,7 +348,7 @@ def _unprepared(master):
 
 
 def _deaf(master, topics, pairs):
-    """What is still missing, as a list of texts: topics without any listener, and of every (topic, node) that node."""
+    """What is still missing, as a list of texts: topics without a subscriber, and (topic, node) without that node."""
     _, _, (_, subscribers, _) = master.getSystemState(NAME)
     listeners = dict(subscribers)
     missing = ["%s has no listener" % topic for topic in sorted(topics) if not listeners.get(topic)]
@@ -357,7 +357,7 @@ def _deaf(master, topics, pairs):
 
 
 def _wait(missing, launch, screens=()):
-    """Until missing() is empty. Raises RuntimeError with what is in it when that does not come true."""
+    """Wait until missing() is empty. Raises RuntimeError with its content when that does not happen."""
     reasons = []
 
     def over():
@@ -372,7 +372,7 @@ def _wait(missing, launch, screens=()):
 
 
 def _wait_for_rest(launch):
-    """Until the nodes have nothing left to do: the clock stands, so they come to rest when all is drawn.
+    """Wait until the nodes have nothing left to do: the clock stands, so they come to rest when all is drawn.
 
     Raises RuntimeError when they do not.
     """

@@ -80,7 +80,7 @@ class VirtualScreen(contextlib.ExitStack):
         self.display = ":" + number.decode()
 
     def environment(self, **more):
-        """Environment for a program that is to use this screen; `more` goes on top."""
+        """Environment for a program that is to use this screen; `more` overrides it."""
         ours = {
             "DISPLAY": self.display or "",
             "LIBGL_ALWAYS_SOFTWARE": "1",
@@ -106,7 +106,7 @@ class VirtualScreen(contextlib.ExitStack):
                 stdout=stdout or output,
                 stderr=output,
                 env=self.environment(**environment),
-                start_new_session=True,  # a Ctrl-C at the terminal is for us
+                start_new_session=True,  # a Ctrl-C at the terminal must not reach it
             )
         self.callback(_end, process)
         self._programs.append((command, process, log))
@@ -122,7 +122,7 @@ class VirtualScreen(contextlib.ExitStack):
     def steady_picture(self, accept=shows_something, steady_s=2.0, timeout_s=300.0):
         """The picture as soon as it has not changed for `steady_s` and accept(picture) holds.
 
-        On a busy computer, where programs draw late and we look late, it takes longer: so many looks have to agree.
+        It must also be the same at a number of looks, so on a busy computer, where all is late, it takes longer.
         Raises ScreenError when a program that was started here has ended, or when it takes longer than `timeout_s`.
         """
         deadline = time.monotonic() + timeout_s
@@ -150,7 +150,7 @@ class VirtualScreen(contextlib.ExitStack):
 
 
 def _end(process):
-    """End a program and what it started, first kindly: Xvfb removes its socket then."""
+    """End a program and its children, first by SIGTERM: Xvfb removes its socket then."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, number)

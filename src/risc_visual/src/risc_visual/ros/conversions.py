@@ -1,4 +1,4 @@
-"""Between messages (degrees, risc_msgs) and the values that are drawn (SI units): the only place that does it."""
+"""Conversions between messages (degrees, risc_msgs) and internal values (SI units): the only place for them."""
 
 import math
 
@@ -21,14 +21,14 @@ def rois_of_picture(header, observer, names, landmarks, others, vehicles):
     """Observed_rois of one picture: every landmark and vehicle that is looked for, seen or not.
 
     header: of the picture; its stamp is kept. observer: namespace of the vehicle that took it. names, others: of
-    landmarks and vehicles; landmarks, vehicles: landmarks.Detections, vehicles.VehicleDetections, best first.
+    landmarks and vehicles; landmarks, vehicles: lists of Detection and of VehicleDetection, best first.
     """
     entry = Risc_rois(observer, _each(_roi, names, landmarks), _each(_roi, others, vehicles))
     return Observed_rois(Header(stamp=header.stamp, frame_id=FRAME_ID), [entry])
 
 
 def detections_of_picture(header, observer, names, landmarks, others, vehicles):
-    """Detections of one picture: the same without rounding, with ellipses and covariances."""
+    """Detections of one picture: as `rois_of_picture`, but without rounding, and with ellipses and covariances."""
     found = _each(_landmark_detection, names, landmarks), _each(_vehicle_detection, others, vehicles)
     return Detections(header, observer, *found)
 

@@ -1,4 +1,4 @@
-"""What all nodes of risc_visual share: what they say of themselves on /diagnostics."""
+"""The reports of all nodes of risc_visual on /diagnostics."""
 
 import threading
 import time
@@ -9,12 +9,12 @@ from risc_lab.ros.diagnostics import Growth, age_text, is_silent, ticking_update
 
 
 class Health:
-    """Counts what is drawn per input and reports rates and ages at 1 Hz. No input is a warning, never an error."""
+    """Counts what is drawn per input and reports rates and ages at 1 Hz. A silent input is a warning, no error."""
 
     def __init__(self, name, inputs, optional=False, done="drawn"):
-        """inputs: what `drawn` will be called with, and what a healthy laboratory sends; optional: or does not.
+        """inputs: names that `drawn` is called with; optional: they may be silent in a healthy laboratory.
 
-        done: what the node does with a message, when that is not drawing.
+        done: what the node does with a message, if not "drawn".
         """
         self._done = done
         self._lock = threading.Lock()

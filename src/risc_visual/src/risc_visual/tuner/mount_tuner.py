@@ -1,6 +1,6 @@
-"""Tuning where a vehicle's camera sits (thesis 4.4.4, figure 4.5): the present mount and what is done with it. No ROS.
+"""Tuning where a vehicle's camera sits (thesis 4.4.4, figure 4.5): the present mount and the actions on it. No ROS.
 
-A mount as six numbers, x, y, z [m] and roll, pitch, yaw [deg], is what sliders show and texts say.
+Sliders and texts show a mount as six numbers: x, y, z [m] and roll, pitch, yaw [deg].
 """
 
 import math
@@ -23,17 +23,17 @@ _STEP = 1e-6  # [m, deg] numbers that differ by less are the same
 class TunerParams(Settings):
     """Settings of transform_tuner, beside those of the window and of the fit (risc_estimation)."""
 
-    nominal: bool = False  # begin where a camera nominally sits instead of where the fleet's file says
+    nominal: bool = False  # begin with the nominal mount instead of the one in the fleet's file
     rate_hz: Positive = 50.0  # of the frames, at most
     text_hz: Positive = 2.0
-    live_s: Positive = 3.0  # what the first line of the text in the view tells about
+    live_s: Positive = 3.0  # time that the first line of the text in the view covers
     rms_good_deg: Positive = 0.6  # rays that miss by less on the average pass the check
     rectified: bool = True  # which pictures the bearings are from, for errors in pixels
     camera: str = "ardrone"  # namespace of the pictures below the vehicle's
 
 
 class MountTuner:
-    """One vehicle's camera. What is done is answered by (whether it was done, a sentence with figures).
+    """One vehicle's camera. Actions return (whether it was done, a sentence with figures).
 
     The mount may be changed from several threads; the window may not.
     """
@@ -54,18 +54,18 @@ class MountTuner:
 
     @property
     def numbers(self):
-        """The mount as {x, y, z [m], roll, pitch, yaw [deg]}, as far as sliders go."""
+        """The mount as {x, y, z [m], roll, pitch, yaw [deg]}, within the sliders' limits."""
         return dict(zip(NUMBERS, numbers_of(mount_of(numbers_of(self.mount)))))
 
     def change(self, numbers):
-        """Take {some of NUMBERS: value}; beyond the sliders' ends they stop there. Raises ValueError for NaN."""
+        """Take {some of NUMBERS: value}; cut at the sliders' limits. Raises ValueError for NaN."""
         if not np.all(np.isfinite(list(numbers.values()))):
             raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self.name, numbers))
         with self._lock:
             self.mount = mount_of([numbers.get(key, value) for key, value in self.numbers.items()])
 
     def shows(self, numbers):
-        """Whether such numbers are those of the mount."""
+        """Whether these numbers are those of the mount."""
         return all(abs(numbers[key] - value) < _STEP for key, value in self.numbers.items())
 
     def record(self):
@@ -108,7 +108,7 @@ class MountTuner:
         return not faults, "%s: %s: %s held out" % (self.name, verdict, found)
 
     def save(self):
-        """Write the mount where the fleet says that it is; `reset` goes back to it from now on."""
+        """Write the mount to the file that the fleet names; `reset` goes back to it from now on."""
         url = self.vehicle.camera_mount
         if not url:
             return False, (
@@ -126,14 +126,14 @@ class MountTuner:
         return True, "%s: saved to %s: %s" % (self.name, path, text_of(mount))
 
     def reset(self):
-        """Back to the mount that was saved last, or that it began with."""
+        """Go back to the mount that was saved last, or to the initial one."""
         with self._lock:
             mount = self.mount = self._first
             origin = "the file's" if self._from_file else "the nominal one"
         return True, "%s: the mount is %s again: %s" % (self.name, origin, text_of(mount))
 
     def lines(self, latest, to_solve, to_check, camera=None, seen=True):
-        """Lines of the text beside the camera. latest: Samples of the last while; seen: by motion capture, now."""
+        """Lines of the text beside the camera. latest: Samples of the last seconds; seen: by motion capture, now."""
         if not seen:
             return ["%s: not seen by motion capture" % self.name]
         mount, params = self.mount, self._fit_params
@@ -161,6 +161,6 @@ def mount_of(numbers):
 
 
 def text_of(mount):
-    """A mount in words."""
+    """Text of a mount."""
     rounded = [round(value, digits) + 0.0 for value, digits in zip(numbers_of(mount), (3, 3, 3, 2, 2, 2))]  # no -0.0
     return "x %.3f, y %.3f, z %.3f m, roll %.2f, pitch %.2f, yaw %.2f deg" % tuple(rounded)

@@ -17,8 +17,8 @@ from risc_lab.settings import Settings, between
 MIN_VIEWS = 4  # fewer are refused
 GOOD_VIEWS = 15  # fewer are reported
 MAX_VIEWS = 60  # that are used of all that were found: more take longer and add little
-OUTLIER_RATIO, OUTLIER_FLOOR_PX = 3.0, 0.3  # a view is dropped when its error is so many times the median, and more
-CORNER_REACH = 0.12  # of the picture's diagonal: a corner of the picture without the board nearer is reported
+OUTLIER_RATIO, OUTLIER_FLOOR_PX = 3.0, 0.3  # a view is dropped when its error exceeds this x the median, and the floor
+CORNER_REACH = 0.12  # of the picture's diagonal: a picture's corner that the board never came this near is reported
 GOOD_TILT_DEG = 20.0  # views tilted less do not tell focal length from distance
 SIGMA_LIMIT = 0.01  # of the focal length: a greater standard deviation of fx, fy, cx or cy is reported
 
@@ -76,7 +76,7 @@ class Calibrated(NamedTuple):
     sigma: dict[str, float]  # standard deviations of fx, fy, cx, cy [px], k1, k2, p1, p2, k3
     used: tuple[ViewError, ...]
     dropped: tuple[ViewError, ...]  # outliers: their errors are from before they were dropped
-    warnings: tuple[str, ...]  # what is weak about the pictures, and the cure
+    warnings: tuple[str, ...]  # what is weak about the pictures, and the remedy
 
 
 def find_board(grey, board):
@@ -130,7 +130,7 @@ def calibrate(views, board, size_px, name="camera", radial_terms=2):
 
     views: sequence of View.   size_px: (width, height) of all pictures.   name: that of the camera, for the file.
     radial_terms: 2: k3 = 0, as camera_calibration does by default; 3: k3 too, for very wide lenses.
-    Raises ValueError with cause and cure when there are too few views or when they do not determine the camera.
+    Raises ValueError with cause and remedy when there are too few views or when they do not determine the camera.
     """
     if len(views) < MIN_VIEWS:
         raise ValueError(
@@ -168,7 +168,7 @@ _UNDETERMINED = "the pictures do not determine the camera: " + _TILT_CURE
 def _features(corners_px, board, size_px):
     """(5,) place x, y, size and two tilts of the board in a picture, each of the order of 1.
 
-    The tilts are by how much the distance changes from one edge of the board to the other, as a fraction; they are the
+    The tilts are the relative change of the distance from one edge of the board to the other; they are the
     perspective part of the homography and need no focal length.
     """
     axes = np.linspace(-1.0, 1.0, board.columns), np.linspace(-1.0, 1.0, board.rows)
@@ -182,9 +182,9 @@ def _solve(views, board, size_px, radial_terms, guess=None):
     """(K, D), {name: standard deviation} and the list of ViewError of one calibration.
 
     guess: (K, D) to start from. Without one, some focal length is assumed and at first only that and the radial
-    distortion are sought. OpenCV's own start takes the lens for one without distortion and gives some boards the wrong
-    tilt; the solver then stays where errors are several pixels, with a focal length that may be many times too long.
-    Started again from what it found it finds its way out: that is done until it makes no difference.
+    distortion are sought. OpenCV's own initial guess assumes a lens without distortion and gives some boards the wrong
+    tilt; the solver then gets stuck at errors of several pixels, with a focal length that may be many times too long.
+    Restarted from its own result it gets out: that is repeated until it makes no difference.
     """
     points = [board.points_m()] * len(views)
     corners = [view.corners_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
@@ -220,7 +220,7 @@ def _solve(views, board, size_px, radial_terms, guess=None):
 
 
 def _warnings(views, errors, dropped, K, sigma, size_px):
-    """Yield what is weak about the pictures, each with its cure."""
+    """Yield what is weak about the pictures, each with its remedy."""
     count = len(views)
     if count < GOOD_VIEWS:
         yield "only %d views: take at least %d that differ in place, distance and tilt" % (count, GOOD_VIEWS)

@@ -11,7 +11,7 @@ import numpy as np
 
 _POINTS_MIN = 6  # of a fit
 _ROUNDS = 3  # of the robust fit; more change nothing that could be measured
-_LEAST_LIMIT = 0.75  # [px] distances that count in any case
+_LEAST_LIMIT = 0.75  # [px] distances up to this always count
 _PRIOR_PX, _PRIOR_COUNT = 0.05, 10  # prior noise of an edge point, worth this many points
 _SYSTEMATIC = 5e-4  # error of the middle of an outline / its size, however many points there are
 
@@ -82,13 +82,13 @@ def ellipse_of_moments(moments):
 
 
 def unit_circle(count):
-    """(count, 2) points, evenly around."""
+    """(count, 2) points, evenly spaced."""
     angles = np.arange(count) * (2.0 * math.pi / count)
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
 def fit_ellipse(points, least_outlier=0.3, outlier=3.0):
-    """Ellipse through edge points (n, 2), once without outliers, by OpenCV's direct least squares.
+    """Ellipse through edge points (n, 2) by OpenCV's direct least squares, repeated once without outliers.
 
     Distances above `outlier` (robust) standard deviations are left out, but none below least_outlier (unit of the
     points). Returns (ellipse, distances (n,), with sign, + outside), or (None, None) if there is none.
@@ -130,7 +130,7 @@ def distances(points, ellipse):
 
 
 def _median(values):
-    """Faster than numpy's, which is made for large arrays."""
+    """Median; faster than numpy's, which is made for large arrays."""
     return float(np.sort(values)[len(values) // 2])
 
 
@@ -168,7 +168,7 @@ def fit_grown(points, inner, scale):
 
 
 def circle_centres(conic, ring_scale):
-    """Where the centre of a circle may be seen whose outline in normalised coordinates is this conic.
+    """The two possible images of the centre of a circle whose outline in normalised coordinates is this conic.
 
     conic: (3, 3) of the outline in coordinates right, down at depth 1 (C as Ellipse.conic). Two circles have the same
     outline, tilted to opposite sides. Returns (centres, rings), each (2, 2): the images of their centres, and the
@@ -189,7 +189,7 @@ def circle_centres(conic, ring_scale):
 
 
 def centre_covariance(ellipse, directions, rms_px, focal_px, apart, share, turn=None):
-    """Covariance (xx, xy, yy) [px^2] of where the centre of a tilted circle is seen, `circle_centres` between both.
+    """Covariance (xx, xy, yy) [px^2] of the image of a tilted circle's centre, taken between both `circle_centres`.
 
     ellipse: the outline. directions: (n, 2) of its measured points, on the unit circle; rms_px: of their distances
     from it. focal_px: of the camera. apart: (2,) [px] from the second to the first hypothesis, share: probability of
@@ -197,10 +197,10 @@ def centre_covariance(ellipse, directions, rms_px, focal_px, apart, share, turn=
     None for points that do not determine an ellipse.
 
     Three parts. The middle of the outline: sigma^2 (sum h h' w^2)^-1 with w pixels across the outline for a unit there,
-    and what no number of points helps against; h = (cos t, sin t, 1, cos 2t, sin 2t), by how much the point at t moves
-    outwards when the ellipse moves along both axes, grows, and changes its shape in two ways. The shift to the image of
-    the centre: kappa tau for a tilt with the sine tau, kappa = a b / f, where the shape tells tau^2. Which of both
-    tilts it is: the variance of a choice.
+    and a systematic error that more points do not reduce; h = (cos t, sin t, 1, cos 2t, sin 2t), by how much the point
+    at t moves outwards when the ellipse moves along both axes, grows, and changes its shape in two ways. The shift to
+    the image of the centre: kappa tau for a tilt with the sine tau, kappa = a b / f, where the shape tells tau^2. Which
+    of both tilts it is: the variance of this choice.
     """
     count, (a, b), (u, v) = len(directions), ellipse[2:4], directions.T
     if count <= 5:

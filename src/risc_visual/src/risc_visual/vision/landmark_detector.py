@@ -32,28 +32,28 @@ _BRIGHTER = 3.0  # the brighter of a landmark's two paints / the darker
 
 # Outlines.
 _RAYS = 32  # on which they are measured
-_RAYS_MIN = 8  # with which something can be said
+_RAYS_MIN = 8  # fewer are not used
 _RING_RADII = (0.3, 0.45, 0.6, 0.75)  # of the ring's width, from the centre's outline: where its colour is looked at
 _CENTRE_RADII = (0.15, 0.35, 0.55, 0.75)
 _BEYOND = (1.1, 1.45, 1.8)  # times the reach from the ring's outer edge: where the background is looked at
 _REACH_PX = 2.0  # on both sides of an outline that is known roughly
 _CONTRAST_MIN = 6.0  # least distance in BGR of two colours between which an edge is measured
-_FOREIGN = 0.7  # distance of a colour from the expected one / contrast of the edge, from which it is another
+_FOREIGN = 0.7  # distance of a colour from the expected one / contrast of the edge; above it, it is another colour
 _WHOLE = 0.9  # share of the rays that meet the outline of a disc whose blob is good enough to start with
 _ARC_WHOLE = 0.8  # share of the outline that is measured of a disc that nothing hides
-_MISFIT_WHOLE = 0.2  # greatest misfit of a disc that nothing hides; beyond it, errors of the points go together
-_DOUBT = 4.0  # covariance of what is hidden in part, or overexposed / what its outline alone would say
-_SATURATED = 250.0  # from which on the profile of an edge may be cut off at the top
-_OUTLIER_PX = 1.0  # what is farther from a rough outline is not part of it
-_MISFIT_PX = 0.5  # that any outline may have
+_MISFIT_WHOLE = 0.2  # greatest misfit of a disc that nothing hides; beyond it, errors of the points are correlated
+_DOUBT = 4.0  # covariance of a disc that is partly hidden or overexposed / that from its outline alone
+_SATURATED = 250.0  # above it the profile of an edge may be clipped
+_OUTLIER_PX = 1.0  # points farther from a rough outline are not part of it
+_MISFIT_PX = 0.5  # allowed for any outline
 _SCALE_TOLERANCE = 0.15  # of the ratio of both outlines
 _RING_SIGMA_PX = 0.15  # of the middle of the ring's outline
 
-# A camera that is not known.
+# For a camera that is not known.
 _FOCAL = 0.95  # focal length / width of the picture: 56 degrees from side to side
 _SHIFT = 0.5  # deviation of a centre's shift from the one by this focal length / (semi-major axis^2 / focal length)
 
-# Slope of the light: deviations that are expected.
+# Slope of the light: expected standard deviations.
 _LIGHT_SLOPE = 0.0008  # [1/px] of its slope across the picture
 _LIGHT_NOISE = 0.003  # of one sample at least
 _LIGHT_FROM_PX = 12.0  # radius of the discs in which it is looked for: it moves smaller ones by 0.01 px at most
@@ -87,7 +87,7 @@ class Detection(NamedTuple):
 
 
 class LandmarkDetector:
-    """Finds landmarks in single pictures; remembers nothing from one to the next."""
+    """Finds landmarks in single pictures; keeps no state between them."""
 
     def __init__(self, config, camera=None):
         """config: LandmarksConfig. camera: risc_lab.camera.Camera that takes the pictures, None if not known.
@@ -110,7 +110,7 @@ class LandmarkDetector:
         """List of Detection, the best first; the same landmark can be among them more than once.
 
         image: (h, w, 3) uint8 BGR; a grey one (h, w) has no colours and hence no landmarks. planes: colours.Planes of
-        the shrunk picture, when others needed them, too. Raises ValueError for anything but a picture.
+        the shrunk picture, if already computed. Raises ValueError for anything but a picture.
         """
         bgr = as_bgr(image)
         if bgr is None:
@@ -128,7 +128,7 @@ class LandmarkDetector:
     def _blobs(self, mask, ring):
         """Ellipses of the blobs of a mask that may be discs, in pixels of the whole picture; ring: mask of its ring."""
         limits = self._limits
-        # What noise eats of a blob, the measured outline will not lack.
+        # Noise makes a blob smaller, but not the outline that is measured later: hence 0.6.
         area_min = 0.6 * 0.25 * math.pi * (limits.diameter_min_px / limits.shrink) ** 2
         height, width = mask.shape
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _CROSS)  # without the specks of noise
@@ -195,7 +195,7 @@ class LandmarkDetector:
         outer, bounded = self._ring_outline(bgr, ellipse, circle, ring)
         if bounded < limits.bounded_min:
             return None
-        # Without the outline of the ring the rest must be beyond doubt, and the picture's border the reason.
+        # Without the outline of the ring the rest must be certain, and the picture's border the reason.
         if outer is None:
             sure = inner.misfit <= 0.5 and vivid >= 0.5 * (1.0 + limits.vivid_min)
             if count == _RAYS or not sure or ellipse.semi_minor < limits.diameter_min_px:
@@ -229,12 +229,12 @@ class LandmarkDetector:
         return cv2.remap(mask, points, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
 
     def _light(self, colours, means, painted, size_px):
-        """(rays, 1) by how much the light on a disc is stronger at each ray than on average.
+        """(rays, 1) light on a disc at each ray / average light.
 
-        Without that, a brighter half of a disc would look larger. colours, means, painted: of ring and centre: colours
+        Without it, a brighter half of a disc would look larger. colours, means, painted: of ring and centre: colours
         of their points, mean ones (3,), masks of the points that have them. A disc of a few pixels tells little of the
-        light, and neighbours' colours blur into it: a flat light is expected. What has a paint's hue without being it,
-        as a panel before the ring, scatters that paint's samples, which then count the less.
+        light, and neighbours' colours blur into it: uniform light is the prior. Another object of a paint's hue, such
+        as a panel in front of the ring, scatters that paint's samples, which then have less weight.
         """
         square, along = np.eye(2) / (_LIGHT_SLOPE * size_px) ** 2, np.zeros(2)
         for places, bgr, mean, mask in zip((self._ring, self._core), colours, means, painted):
@@ -342,7 +342,7 @@ class LandmarkDetector:
         return centre.tolist(), centre_covariance(*measured, focal_px, centres[0] - centres[1], share, turn)
 
     def _ideal(self, points):
-        """Where a camera without distortion would see what is at points (n, 2) px."""
+        """Points (n, 2) [px] as a camera without distortion would see them."""
         if not self._distorted or not len(points):
             return points
         K = self._camera.K

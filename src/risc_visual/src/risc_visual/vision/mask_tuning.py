@@ -1,4 +1,4 @@
-"""A mask by colour, to find the thresholds of a paint, and their way into a landmarks file. Needs no ROS."""
+"""Masks by colour for tuning the thresholds of a paint, and saving these in a landmarks file. Needs no ROS."""
 
 import os
 import pathlib
@@ -65,10 +65,10 @@ def draw_mask(bgr, mask):
 
 
 def save_colour(path, name, paint):
-    """Write an HsvRange into a landmarks file, whose rest and comments stay; a new file begins as the package's.
+    """Write an HsvRange into a landmarks file; its other content and comments stay. A new file copies the package's.
 
     Returns the absolute path: a node that roslaunch starts is not in the user's folder. Raises ValueError with cause
-    and cure, and then the file is what it was.
+    and remedy; the file is unchanged then.
     """
     if not str(path):
         raise ValueError("no file to write: give the parameter ~file, e.g. _file:=my_landmarks.yaml")
@@ -76,7 +76,7 @@ def save_colour(path, name, paint):
         raise ValueError("%r is not a valid colour name: use letters, digits and _" % name)
     path = pathlib.Path(path).expanduser().absolute()
     source = path if path.exists() else detector_file()
-    load_landmarks(source)  # else it is not such a file
+    load_landmarks(source)  # raises ValueError if it is not such a file
     limits = CommentedMap((key, list(getattr(paint, key))) for key in ("hue", "saturation", "value"))
     limits.fa.set_flow_style()
     file = YAML()

@@ -21,7 +21,7 @@ _VEHICLE = (255, 255, 0)
 
 
 def draw_landmarks(bgr, detections, ring_scale):
-    """Outlines of centre and ring, centre, name and score of landmarks.Detections; the picture is drawn on."""
+    """Outlines of centre and ring, centre, name and score of landmark_detector.Detections, in place."""
     for found in detections:
         colour = _COLOURS.get(found.name, WHITE)
         for scale, paint, thickness in ((1.0, colour, 2), (ring_scale, WHITE, 1)):
@@ -34,7 +34,7 @@ def draw_landmarks(bgr, detections, ring_scale):
 
 
 def draw_vehicles(bgr, detections):
-    """Rectangle, centre and name of vehicles.VehicleDetections; the picture is drawn on."""
+    """Rectangle, centre and name of vehicle_detector.VehicleDetections, in place."""
     for found in detections:
         corners = outline_rectangle(bgr, found.x, found.y, found.width, found.height, found.angle, _VEHICLE)
         _mark(bgr, found, found.name, corners[:, 1].max(), _VEHICLE)

@@ -12,11 +12,11 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff")
 
 
 def open_pictures(source, topic=None, most=200):
-    """(what they are, number of pictures, iterator of (name, picture)) of a path.
+    """(text that names the source, number of pictures, iterator of (name, picture)) of a path.
 
-    topic: of a bag; None when it has one with pictures only. most: number of pictures to read; of more, evenly spread
+    topic: of a bag; None when only one has pictures. most: number of pictures to read; of more, evenly spread
     ones are taken. A picture is grey (h, w), None when it cannot be read; those of a bag are named by their stamp.
-    Raises PictureError or data_extraction.bags.BagError with cause and cure.
+    Raises PictureError or data_extraction.bags.BagError with cause and remedy.
     """
     path = pathlib.Path(source).expanduser()
     if not path.exists():

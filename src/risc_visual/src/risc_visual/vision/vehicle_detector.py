@@ -31,7 +31,7 @@ class VehicleParams(Settings):
     area_min_px: between(1.0, 1e6) = 80.0  # of both paints together, in the whole picture
     gap: between(0.0, 5.0) = 0.4  # pieces of paint belong together that are closer than this x the larger's longer side
     second_min: between(0.0, 0.5) = 0.03  # share of the weaker paint for a hull that shows both
-    alone_area_min_px: between(1.0, 1e6) = 300.0  # a hull that shows only one paint is believed from this area on ...
+    alone_area_min_px: between(1.0, 1e6) = 300.0  # a hull that shows only one paint is accepted from this area on ...
     alone_aspect: between(0.0, 100.0) = 1.8  # ... and if it is this many times as wide as high
 
 
@@ -55,7 +55,7 @@ class VehiclesConfig(Settings):
 
 
 class VehicleDetection(NamedTuple):
-    """One vehicle in a picture. Pixels as in landmarks.Detection."""
+    """One vehicle in a picture. Pixels as in landmark_detector.Detection."""
 
     name: str
     x: float  # [px] middle of the hull's outline
@@ -86,7 +86,7 @@ class VehicleDetector:
     """Finds the vehicles of a fleet in single pictures."""
 
     def __init__(self, config, names):
-        """config: VehiclesConfig. names: of all vehicles, in the order in which they have the hulls.
+        """config: VehiclesConfig. names: of all vehicles, in the order of their hulls.
 
         Raises ValueError when there are more vehicles than hulls.
         """
@@ -105,17 +105,17 @@ class VehicleDetector:
         """List of VehicleDetection, each vehicle at most once, the largest first.
 
         image: (h, w, 3) uint8 BGR. observer: name of the vehicle that carries the camera: it is not in the picture,
-        which can decide whose hull it is when only one of two paints is seen. Raises ValueError for no picture.
+        which can decide whose hull it is when only one of two paints is seen. Raises ValueError if it is no picture.
         """
         bgr = as_bgr(image)
         return [] if bgr is None else self.detect_in(Planes(bgr, self.shrink), observer)
 
     def detect_in(self, planes, observer=None):
-        """Same, from the colours.Planes of the shrunk picture, which other detectors may share."""
+        """As `detect`, from the colours.Planes of the shrunk picture, which other detectors may share."""
         blobs = [blob for paint, limits in self._ranges.items() for blob in self._blobs(planes.mask(limits), paint)]
         hulls = {name: hull for name, hull in self._hulls.items() if name != observer}
         found = {}
-        # What shows both paints is beyond doubt; the largest first, for its pieces are then no other vehicle's.
+        # Groups that show both paints are certain; the largest first, so that its pieces go to no other vehicle.
         candidates = [
             (sum(blob.area for blob in group), name, group)
             for name, hull in hulls.items()

@@ -41,8 +41,8 @@ from risc_visual.browser.page_server import open_server
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.ros.conversions import verdict_from_msg
 
-# What the drawing nodes send. Of those drawn anew as a whole each time, what is too fast is skipped; of the others
-# every message counts.
+# Topics of the drawing nodes. A message of WHOLE replaces all before it, so those that come too fast are skipped; of
+# the others every message counts.
 WHOLE = ("Quad_Markers", "Quad_Labels", "Cortex_Markers", "Way_Markers", "Heading_Markers", "Way_Labels")
 ARRAYS = ("net", "Grid", "Cameras", "Land_Markers", "Land_Labels", "angle_lines") + (
     "Quad_trajectory",
@@ -50,7 +50,7 @@ ARRAYS = ("net", "Grid", "Cameras", "Land_Markers", "Land_Labels", "angle_lines"
     "Way_trail",
     "transform_tuner/text",
 )
-SINGLE = ("desired_trajectory_name", "Cov_Quad")  # Ctrl_Status and Battery_Status: the panel says what they say
+SINGLE = ("desired_trajectory_name", "Cov_Quad")  # without Ctrl_Status and Battery_Status: the panel shows the same
 _PANEL_HZ = 2.0
 _MOST_LOAD = 0.25  # of a core: a busy scene is drawn less often
 _ANSWER_S = 3.0  # a vehicle node that has not answered by then is shown as silent
@@ -74,7 +74,7 @@ class LiveViewParams(Settings):
 
 
 class LiveView:
-    """Shows what is drawn for rviz to those who open the page."""
+    """Shows what is drawn for rviz on a web page."""
 
     def __init__(self):
         params = self._params = load_params(LiveViewParams, known=("vehicles",))[0]
@@ -95,7 +95,7 @@ class LiveView:
         self._updater = make_updater("none")
         self._updater.add("live view", self._diagnose)
         Ticker(1.0 / params.rate_hz, self._turn, "the browser view")
-        rospy.on_shutdown(self._server.stop)  # hooks run in their order: no turn begins any more
+        rospy.on_shutdown(self._server.stop)  # hooks run in order: no turn begins after the Ticker's
         shown_host = "localhost" if params.host == "0.0.0.0" else params.host
         rospy.loginfo("the flight in a browser: http://%s:%d", shown_host, params.port)
         if params.host in ("127.0.0.1", "localhost"):
@@ -106,7 +106,7 @@ class LiveView:
             rospy.logwarn("no other computer can open the page: list those that may in ~guests")
 
     def land_all(self):
-        """Land every vehicle, and have the virtual operator, where there is one, let them stand."""
+        """Land every vehicle, and tell the virtual operator, if there is one, not to start them again."""
         self._land([vehicle.namespace for vehicle in self._vehicles], {_OPERATOR: _call_operator})
 
     def _land(self, names, others):
@@ -148,7 +148,7 @@ class LiveView:
             self._turns["took_max_s"] = max(self._turns["took_max_s"], took_s)
 
     def _lookup(self, frame, stamp):
-        """geometry_msgs/Transform by tf2, which is only listened to when a marker needs it; None if it has none."""
+        """geometry_msgs/Transform from tf2, which is subscribed to only when a marker needs it; None if unknown."""
         if self._tf is None:
             self._tf = tf2_ros.Buffer(rospy.Duration(_FRAMES_S), debug=False)
             self._tf_listener = tf2_ros.TransformListener(self._tf)
@@ -158,7 +158,7 @@ class LiveView:
             return None
 
     def _begin(self):
-        """A page is open."""
+        """Subscribe: a page was opened."""
         self._turns.update(due_s=0.0, panel_due_s=0.0)
         note = self._note
 
@@ -186,7 +186,7 @@ class LiveView:
         every("/virtual_lab/faults", Faults, lambda msg: self._faults.note(msg.faults))
 
     def _rest(self):
-        """The last one has gone."""
+        """Unsubscribe: the last page was closed."""
         for subscriber in self._subscribers:
             subscriber.unregister()
         self._subscribers = []
@@ -228,7 +228,7 @@ def _operator_text(message):
 
 
 def _call(service, silent):
-    """Ask for a landing. silent: what it means when no answer comes. Returns (done, what happens)."""
+    """Call a land service. silent: what no answer means. Returns (done, text)."""
     try:
         answer = rospy.ServiceProxy(service, Trigger)()
     except rospy.ServiceException as error:
@@ -237,14 +237,14 @@ def _call(service, silent):
 
 
 def _call_operator():
-    """The virtual operator is to land all and to start none. Returns (done, what happens), "" when there is none."""
+    """Tell the virtual operator to land all and to start none. Returns (done, text); text "": there is no operator."""
     if rospy.get_master().lookupService(_OPERATOR_LAND)[0] != 1:
         return True, ""
     return _call(_OPERATOR_LAND, "does not answer and may start vehicles again")
 
 
 def _call_lab(**fields):
-    """fields: of InjectFault. Returns (done, what happens)."""
+    """Call the virtual lab's service. fields: of InjectFault. Returns (done, text)."""
     try:
         answer = rospy.ServiceProxy(_INJECT, InjectFault)(**fields)
     except rospy.ServiceException as error:

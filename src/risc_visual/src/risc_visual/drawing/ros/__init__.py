@@ -1,1 +1,1 @@
-"""Nodes that tell rviz what to draw."""
+"""ROS parts of the nodes that draw in rviz."""

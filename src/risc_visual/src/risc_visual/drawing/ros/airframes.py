@@ -1,4 +1,4 @@
-"""Vehicles made of primitives, of the sizes that their types say."""
+"""Vehicles made of primitives, in the sizes of their types."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ class Part(NamedTuple):
 
 
 def parts_of(type_name=DEFAULT_TYPE):
-    """Parts of a vehicle of this type; those of an AR.Drone when it is not known, or says no size."""
+    """Parts of a vehicle of this type; those of an AR.Drone when the type is unknown or has no size."""
     try:
         size = load_vehicle_type(type_name).airframe
     except ValueError:
@@ -29,7 +29,7 @@ def parts_of(type_name=DEFAULT_TYPE):
 
 
 def _quadrotor(size):
-    """Parts of an `Airframe`: hull, arms, nose, rotors (front pair painted: so the nose is seen)."""
+    """Parts of an `Airframe`: hull, arms, nose, rotors (front pair painted, to show where the nose is)."""
     arm_m, rotor_m, hull_m = size.arm_m, size.rotor_m, size.hull_m
     corner = arm_m * np.sqrt(0.5)
     hubs = [(corner, corner), (corner, -corner), (-corner, -corner), (-corner, corner)]

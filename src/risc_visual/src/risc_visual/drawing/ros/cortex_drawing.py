@@ -17,7 +17,7 @@ from risc_visual.drawing.palette import sphere_colours, vehicle_colour
 from risc_visual.drawing.ros.airframes import parts_of
 from risc_visual.drawing.ros.markers import GREEN, LINE_M, ORANGE, ORIGIN, RED, TEXT_M, WHITE, Pen, header, is_known
 
-_TEXT_PERIODS = 3.0  # without news after which a text vanishes
+_TEXT_PERIODS = 3.0  # without a message after which a text vanishes
 _SPHERE_ALPHA, _OTHER_ALPHA = 0.7, 0.4  # of landmarks, and of unknown ones
 _PENDULUM = (1.0, 0.6, 0.0)
 _ROD_MAX_M = 1.5  # a pendulum tip farther than this from every vehicle stands on none
@@ -28,7 +28,7 @@ _MODES_M, _BATTERIES_M = (-0.5, -1.4, 0.0), (1.0, 1.15, 0.0)  # from two corners
 
 
 class CortexDrawing:
-    """Not thread-safe. Stamps are those of the messages; what has none has the ROS time that the caller gives."""
+    """Not thread-safe. Stamps are those of the messages; for messages without one, the caller gives the ROS time."""
 
     def __init__(self, params, fleet, templates, landmarks, arena=Arena()):
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
@@ -42,14 +42,14 @@ class CortexDrawing:
         self._text_lifetime_s = _TEXT_PERIODS / params.status_hz
         self._half_m = arena.half_x_m, arena.half_y_m, 0.0
         self._last = {}  # name -> (position [m], Quaternion, places of its parts [m]) where it was seen last
-        self._safety = {}  # line -> Verdict of the vehicle's safety when it is not content
+        self._safety = {}  # line -> Verdict of the vehicle's safety; None when it is OK
         self._levels = {}  # name -> (level of the safety ladder, when it was said [s])
 
     def vehicles(self, msg, now_s):
-        """Cortex -> (vehicles and pendulums, their names): ns = name. now_s: ROS time, that given to `mode`.
+        """Cortex -> (vehicles and pendulums, their names): ns = name. now_s: ROS time, as given to `mode`.
 
-        A lost vehicle, also one with numbers that are not finite, is a grey ghost where it was last seen; one that its
-        safety has stopped says so.
+        A lost vehicle, also one with numbers that are not finite, is a grey ghost where it was last seen; the name of
+        one whose failsafe acts says so.
         """
         pen, found, labels = Pen(self._lifetime_s, header(msg.header.stamp)), [], []
         states = states_from_msg(msg)
@@ -64,7 +64,7 @@ class CortexDrawing:
                 found.append(pen.marker(name, number, part.shape, place_m, part.size_m, rgba, turn, part.points_m))
             text, rgba = name + (" (lost)" if lost else ""), self._label_rgba
             level, said_s = self._levels.get(name, ("", -math.inf))
-            if is_news(said_s, now_s, self._text_lifetime_s):  # what a vehicle said last is not true for ever
+            if is_news(said_s, now_s, self._text_lifetime_s):  # an old report no longer counts
                 text, rgba = "%s: %s" % (text, level), RED + rgba[3:]
             labels.append(pen.label(name, index + 1, text, at_m, rgba))
         for name, tip_m in tips_m.items():
@@ -123,11 +123,11 @@ class CortexDrawing:
         return pen.marker("covariance", number, Marker.SPHERE, at_m, size_m, RED + (0.2,))
 
     def note_safety(self, line, verdict):
-        """What the safety of the vehicle on a line of the list says: its Verdict."""
+        """Take the safety Verdict of the vehicle on a line of the list."""
         self._safety[line] = None if verdict.level == FailsafeLevel.OK else verdict
 
     def mode(self, head, line, name, autonomous):
-        """Line of text: who flies the vehicle, or what its safety does about it.
+        """Line of text: who flies the vehicle, or what its failsafe does.
 
         line: of the list of vehicles, from 0. name: "" for a laboratory with one vehicle.
         """

@@ -1,4 +1,4 @@
-"""What the drawing nodes have in common: the newest messages in, markers out that suit the ground they are shown on."""
+"""Common parts of the drawing nodes: the newest messages in, markers out in colours that suit the background."""
 
 import copy
 import functools
@@ -25,7 +25,7 @@ class Drawer:
         self._lock = threading.Lock()
 
     def on(self, topic, kind, draw, *publishers, rate_hz=None):
-        """draw(message) returns what the publisher sends, None for nothing; of several publishers what each sends."""
+        """Publish what draw(message) returns, None for nothing; with several publishers it returns an item for each."""
 
         def on_message(message):
             with self._lock:
@@ -40,7 +40,7 @@ class Drawer:
 
 
 class MarkerPublisher(rospy.Publisher):
-    """A publisher of Marker or MarkerArray, whose colours are chosen for a black ground."""
+    """Publisher of Marker or MarkerArray; their colours suit a black ground, and are converted for a white one."""
 
     def __init__(self, topic, kind, **options):
         super().__init__(topic, kind, **options)

@@ -22,7 +22,7 @@ GREEN = (0.0, 1.0, 0.0)
 ORANGE = (1.0, 0.4, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
 _NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
-LABEL_M = (0.25, 0.0, 0.3)  # from what is named to its name: not on the hull, in a view from above neither
+LABEL_M = (0.25, 0.0, 0.3)  # from a thing to its name: off the hull, in a view from above, too
 NAME_M = 0.17  # heights of names, ...
 TEXT_M = 0.3  # ... of a text that stands alone, ...
 LINE_M = 0.2  # ... and of one that is a line among others
@@ -37,7 +37,7 @@ _duration = functools.lru_cache(maxsize=64)(genpy.Duration.from_sec)
 
 
 def header(stamp=None, frame_id=FRAME_ID):
-    """Header, in the frame cortex if nothing else is said; without a stamp rviz takes the frame as it is now."""
+    """Header, by default in the frame cortex; without a stamp rviz uses the newest pose of the frame."""
     return Header(stamp=stamp or genpy.Time(), frame_id=frame_id)
 
 
@@ -76,7 +76,7 @@ class Pen:
         return self.marker(ns, number, Marker.TEXT_VIEW_FACING, at_m, (0.0, 0.0, height_m), rgba, text=text)
 
     def label(self, ns, number, text, at_m, rgba, side=1.0):
-        """The name of what is at a position: above it, with side -1 below."""
+        """The name of the thing at a position: above it, with side -1 below."""
         place_m = tuple(value + side * offset for value, offset in zip(at_m, LABEL_M))
         return self.text(ns, number, text, place_m, NAME_M, rgba)
 
@@ -87,7 +87,7 @@ def is_known(position_m):
 
 
 def gone_marker(ns, number):
-    """Makes rviz forget a marker that has expired, and what it said of it when it could not place it."""
+    """Makes rviz delete an expired marker, and its status message if it could not place it."""
     return Marker(header=header(), ns=ns, id=number, action=Marker.DELETE)
 
 
@@ -127,7 +127,7 @@ def camera_markers(pen, cameras):
 
 
 def title_marker(pen, text, arena=Arena()):
-    """What is flown: a text behind the far wall, where it covers no vehicle, seen from behind or from above."""
+    """Title, what is flown: a text behind the far wall, where it covers no vehicle, seen from behind or from above."""
     at_m = (arena.half_x_m + _BEHIND_M, 0.0, arena.height_m)
     return pen.text("trajectory_name", 0, text, at_m, TEXT_M, ORANGE + (1.0,))
 

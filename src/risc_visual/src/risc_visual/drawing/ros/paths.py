@@ -1,4 +1,4 @@
-"""Paths of several things as markers that rviz gets in pieces."""
+"""Paths of several things as markers, sent to rviz in pieces."""
 
 from collections import defaultdict
 
@@ -14,7 +14,7 @@ class PathDrawing:
     """The paths of all things on one topic."""
 
     def __init__(self, ns, rgb, width_m, duration_s, params, index):
-        """duration_s: length of a path. params: params.PathParams with a rate_hz, at which `draw` is called, about.
+        """duration_s: length of a path. params: params.PathParams with a rate_hz: about the rate of calls to `draw`.
 
         index: cast.Index of the things' names.
         """

@@ -23,11 +23,11 @@ class WaypointDrawing:
         self._params = params
         self._numbers = Index((name, 1) for name in names)  # of waypoints: (name, which of those with this name)
         self._paths = PathDrawing("way_trail", RED, FLOWN_M, params.trail_s, params, Index(names))
-        self._sent = ((), 0.0)  # vehicles that have a waypoint, and when it was said
+        self._sent = ((), 0.0)  # vehicles that have a waypoint, and the time of that message
 
     def waypoints(self, msg, now_s):
         """Waypoints -> (balls, arrows of the headings, names): ns = name, id from the index."""
-        params, pen = self._params, Pen(self._params.lifetime_s)  # waypoints are where they are: no stamp
+        params, pen = self._params, Pen(self._params.lifetime_s)  # waypoints do not move: no stamp
         rgba, count = WHITE + (params.alpha,), Counter()
         balls, arrows, labels = [], [], []
         for entry in msg.Obj:
@@ -45,7 +45,7 @@ class WaypointDrawing:
         return balls, arrows, labels
 
     def paths(self, msg, now_s):
-        """Cortex -> what to send of the paths of the vehicles that have a waypoint."""
+        """Cortex -> path markers of the vehicles that have a waypoint."""
         names, said_s = self._sent
         names = names if is_news(said_s, now_s, self._params.lifetime_s) else ()
         self._paths.keep_only(names)

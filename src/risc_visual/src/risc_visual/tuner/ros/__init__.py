@@ -1,1 +1,1 @@
-"""The tuner on the wire."""
+"""ROS parts of the transform tuner."""

@@ -17,7 +17,7 @@ from risc_visual.drawing.ros.markers import ORIGIN, Pen, pyramid
 from risc_visual.tuner.mount_tuner import NUMBERS
 
 _SCALE_M = 0.45  # radius of the rings
-VIEW_M = (0.16, 0.08, 0.05)  # the pyramid of what it sees: how far, half as wide, half as high
+VIEW_M = (0.16, 0.08, 0.05)  # the pyramid of what it sees: length, half width, half height
 _LINE_M = 0.008
 _BODY_M = (0.06, 0.05, 0.05)
 _PANE_M = 0.004

@@ -1,4 +1,4 @@
-"""The transform tuner on the wire: handles in rviz, sliders, services, a text; the work is in tuner.mount_tuner.
+"""ROS part of the transform tuner: handles in rviz, sliders, services, a text; the work is in tuner.mount_tuner.
 
 It is `transforms` of risc_control with cameras that can be moved: start it in place of that node.
 """
@@ -35,7 +35,7 @@ from risc_visual.tuner.ros.mount_marker import mount_marker, numbers_from_pose, 
 
 NAMESPACE = "transform_tuner"  # of topics, services and sliders, whatever the node is called
 ACTIONS = ("solve", "check", "save", "reset", "record")  # services, and the menu in this order
-_FOLLOW_S = 0.25  # delay of the sliders after the handles: telling all clients takes too long for every mouse event
+_FOLLOW_S = 0.25  # delay of the sliders after the handles: updating all clients at every mouse event takes too long
 _SEEN_S = 0.5  # a vehicle without a pose for longer is not seen
 _COMPLAIN_S = 10.0  # between warnings of sliders that cannot follow
 _ANSWER_S = 20.0  # how long the last answer stays in the view
@@ -46,12 +46,12 @@ _TEXT_ABOVE_M = 0.6  # its lower edge above the vehicle, and above the vehicle's
 _TEXT_M = 0.08  # height of a line
 _LINE = 1.3  # distance of two lines / their height
 _TEXT_COLUMNS = 56
-_APART_LINES = 5  # by this many the text of each vehicle is higher than that of the one before: they may fly abreast
+_APART_LINES = 5  # each vehicle's text is this much higher than that of the one before: they may fly abreast
 _TEXT_RGBA = (1.0, 1.0, 0.6, 1.0)
 
 
 class HandleServer(InteractiveMarkerServer):
-    """As of its package, but silent when ROS shuts down under it."""
+    """The server of the package, but silent when ROS shuts down."""
 
     keepAlive = until_shutdown(InteractiveMarkerServer.keepAlive)  # noqa: N815 - the name is the package's
 
@@ -64,14 +64,14 @@ class Sliders:
         self._tuner = tuner
         self._on_moved = on_moved
         self._shown = None
-        self._follower = None  # thread that moves them now, not a person
-        self._told = True  # whether all clients were told of their last move
+        self._follower = None  # thread that moves them now, in place of a person
+        self._told = True  # whether all clients got their last values
         for key, value in tuner.numbers.items():
             rospy.set_param("%s/%s" % (namespace, key), value)
         self._server = Server(TransformTunerConfig, self._on_config, namespace)
 
     def follow(self):
-        """Show what the mount is now. Not to be called with a lock that `on_moved` takes.
+        """Show the present mount. Do not call this while holding a lock that `on_moved` takes.
 
         Raises OSError or xmlrpc.client.Error when the master does not answer: call it again later.
         """
@@ -114,7 +114,7 @@ class TransformTunerNode:
         self._frames_due_s = 0.0
         self._sliders = [self._offer(tuner, "%s/%s" % (namespace, tuner.name)) for tuner in self._tuners]
         self._handles.applyChanges()
-        # Every pose counts, also when this node is late: what lies between two that are far apart is unknown.
+        # Every pose counts, also when this node is late: between two poses that are far apart nothing is known.
         rospy.Subscriber(
             "/cortex_raw", Cortex, self._on_states, queue_size=_STATES, buff_size=_BUFFER_BYTES, tcp_nodelay=True
         )
@@ -182,13 +182,13 @@ class TransformTunerNode:
             rospy.logwarn("%s", error)
 
     def _do(self, tuner, action):
-        """Run one of ACTIONS, after one that runs already. Returns (whether it was done, a sentence)."""
+        """Run one of ACTIONS, after any that is running. Returns (whether it was done, a sentence)."""
         with tuner.acting:
             with self._lock:
                 given = dict(zip(("solve", "check"), tuner.window.samples()))
                 if action == "record":
                     done, answer = tuner.record()
-            if action in given:  # without the lock: frames go on meanwhile
+            if action in given:  # without the lock, so that frames are sent meanwhile
                 done, answer = getattr(tuner, action)(given[action], self._cameras[tuner.name])
             elif action != "record":
                 done, answer = getattr(tuner, action)()

@@ -61,7 +61,7 @@ class Lookout:
             self._vehicles = VehicleDetector(load_vehicles(params.vehicles_file or None), self._others)
         self._cameras = VehicleCameras(fleet, params.rectified, params.image.rpartition("/")[0])
         self._unknown = self._make_detector(None)
-        self._detectors = dict.fromkeys(namespaces, (None, self._unknown))  # and the camera that each is for
+        self._detectors = dict.fromkeys(namespaces, (None, self._unknown))  # (camera, detector)
         self._exact = rospy.Publisher("detections", Detections, queue_size=10, tcp_nodelay=True) if landmarks else None
         self._publisher = rospy.Publisher(topic, Observed_rois, queue_size=10, tcp_nodelay=True)
         self._bridge = CvBridge()
@@ -88,7 +88,7 @@ class Lookout:
         return "not calibrated" if camera is None else camera.calibration.name
 
     def _look(self, name, picture, header):
-        """Look at a picture that a vehicle took, and tell what is in it."""
+        """Search a vehicle's picture and publish what is in it."""
         detector = self._detector_for(name, picture)
         landmarks, vehicles, planes = [], [], None
         if self._vehicles is not None and min(picture.shape[:2]) >= SIDE_MIN_PX:
@@ -114,7 +114,7 @@ class Lookout:
             self._overlays[name].publish(drawn)
 
     def _detector_for(self, name, picture):
-        """For pictures of the calibrated size the detector with the camera, else one that knows no camera."""
+        """The detector with the vehicle's camera for pictures of the calibrated size, else the one without a camera."""
         camera = self._cameras[name]
         if camera is not self._detectors[name][0]:
             self._detectors[name] = camera, self._make_detector(camera)

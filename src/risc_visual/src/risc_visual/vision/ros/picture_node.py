@@ -1,4 +1,4 @@
-"""The frame that all picture nodes share: newest picture in, `process`, results out.
+"""Base class of all picture nodes: newest picture in, `process`, results out.
 
 A node is a class with `process`; see nodes/edge_drone for the shortest one.
 """
@@ -31,7 +31,7 @@ class PictureNode(abc.ABC):
         """topic: of the pictures.  outputs: dict topic -> encoding of a picture, or a message class.
 
         settings_class: Settings of private parameters.  config_type: of dynamic_reconfigure, with fields of the same
-        names; None: the settings stand.  rate_hz: of pictures, at most; 0: all.  Raises ValueError that names a wrong
+        names; None: fixed settings.  rate_hz: of pictures, at most; 0: all.  Raises ValueError that names a wrong
         parameter.
         """
         self.lock = threading.Lock()  # held while `process` runs: for what other callbacks share with it
@@ -39,7 +39,7 @@ class PictureNode(abc.ABC):
         self.settings = load_params(settings_class)[0]
         self.use(self.settings)
         if config_type is not None:
-            # The server takes what is there as it is: a number of the wrong type would end it.
+            # The server takes existing parameters unchecked: a number of the wrong type would end it.
             for key, value in vars(self.settings).items():
                 rospy.set_param("~" + key, value)
             self._server = Server(config_type, self._on_reconfigure)
@@ -51,7 +51,7 @@ class PictureNode(abc.ABC):
         }
         Ticker(_LOOK_S, self._follow_demand, "the demand for results")
 
-    # -------- what a node brings
+    # -------- to be implemented by a node
 
     def use(self, settings):  # noqa: B027 - not every node has settings
         """Take new settings; called at the start and by dynamic_reconfigure. Raises ValueError to refuse them."""
@@ -60,7 +60,7 @@ class PictureNode(abc.ABC):
     def process(self, picture, header):
         """Work on one picture (h, w, 3), blue green red, and `publish`; it may be drawn on."""
 
-    # -------- what a node needs
+    # -------- to be used by a node
 
     def wanted(self, name):
         """Whether this output has a subscriber."""
@@ -75,7 +75,7 @@ class PictureNode(abc.ABC):
             value.header = header
         self._publishers[name].publish(value)
 
-    # -------- the frame
+    # -------- internal
 
     def _follow_demand(self):
         demanded = any(map(self.wanted, self._publishers))

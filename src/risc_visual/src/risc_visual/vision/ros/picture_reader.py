@@ -1,4 +1,4 @@
-"""Pictures of a topic, one after the other, and what is to be said of that on /diagnostics."""
+"""Reads the pictures of a topic, and reports on /diagnostics."""
 
 import threading
 import time
@@ -22,7 +22,7 @@ class PictureReader:
     def __init__(self, topic, work, updater, name, rate_hz=0.0, more=dict):
         """work(picture, header): picture is (h, w, 3), blue green red, and may be drawn on; ValueError refuses it.
 
-        updater, name: of diagnostics; more(): {key: text} to be told there, too. rate_hz: greatest; 0 = every picture.
+        updater, name: of diagnostics; more(): {key: text} to report there, too. rate_hz: greatest; 0 = every picture.
         """
         self.topic = rospy.resolve_name(topic)
         self._work, self._more = work, more
@@ -41,21 +41,21 @@ class PictureReader:
         return self._subscriber is not None
 
     def open(self):
-        """Begin to take pictures."""
+        """Start taking pictures."""
         self._last_s = None
         self._subscriber = rospy.Subscriber(
             self.topic, Image, self._on_image, queue_size=1, buff_size=PICTURES_BYTES, tcp_nodelay=True
         )
 
     def close(self):
-        """Take none any more."""
+        """Stop taking pictures."""
         self._subscriber.unregister()
         self._subscriber = None
 
     @until_shutdown
     def _on_image(self, message):
         start_s = time.monotonic()
-        if start_s < self._next_s:  # not waited for: unread pictures would grow old in the socket
+        if start_s < self._next_s:  # skipped instead of waiting: unread pictures would grow old in the socket
             return
         self._next_s = max(self._next_s, start_s - self._period_s) + self._period_s
         try:

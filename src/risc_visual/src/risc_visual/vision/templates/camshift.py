@@ -1,4 +1,4 @@
-"""CamShift: follow something by its colours, whatever its size and turn (Bradski 1998)."""
+"""CamShift: follow something by its colours, at any size and rotation (Bradski 1998)."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 1.0)
 
 @dataclass(frozen=True)
 class CamshiftSettings(Settings):
-    """Settings of `CamshiftTracker`. Colours are hue only, so pale and dark pixels say nothing."""
+    """Settings of `CamshiftTracker`. Colours are hue only, so pale and dark pixels are ignored."""
 
     saturation_low: between(0, 255) = 60  # 0..255: of pixels that count
     value_low: between(0, 255) = 32
@@ -76,7 +76,7 @@ class CamshiftTracker:
         return x - width // 2, y - height // 2, width, height
 
     def _hue(self, picture):
-        """(hue (h, w), mask (h, w) of the pixels whose hue says something)."""
+        """(hue (h, w), mask (h, w) of the pixels whose hue is meaningful)."""
         if not picture.size:
             return np.empty((0, 0), np.uint8), np.empty((0, 0), np.uint8)
         hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)

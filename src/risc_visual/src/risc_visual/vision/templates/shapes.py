@@ -23,7 +23,7 @@ class ShapeSettings(Settings):
     least_px: between(1, 10**8) = 200  # [px^2] smaller areas are noise
     tolerance: between(0.001, 0.2) = 0.03  # of the straight sides, as a fraction of the outline's length
     roundness: between(0.1, 1.0) = 0.88  # 4 pi area / length^2 above which an outline with many corners is a circle
-    solidity: between(0.1, 1.0) = 0.9  # area over that of its convex hull, below which it has no name here
+    solidity: between(0.1, 1.0) = 0.9  # area over that of its convex hull, below which it is ignored
 
 
 class Shape(NamedTuple):
@@ -36,10 +36,10 @@ class Shape(NamedTuple):
 
 
 def find_shapes(picture, settings):
-    """List of `Shape` in a picture (h, w, 3), the largest first. What lies inside another outline is not seen."""
+    """List of `Shape` in a picture (h, w, 3), the largest first. What lies inside another outline is ignored."""
     width = 2 * settings.blur + 1
     smooth = cv2.GaussianBlur(picture, (width, width), 0)
-    # Each colour by itself: what differs from its ground in colour only has no edge in the grey picture.
+    # Each channel by itself: what differs from its background in hue only has no edge in the grey picture.
     edges = np.zeros(picture.shape[:2], np.uint8)
     for channel in cv2.split(smooth):
         edges |= cv2.Canny(channel, settings.threshold, 3 * settings.threshold)

@@ -1,4 +1,4 @@
-"""A picture turned so that what is vertical in the world is vertical in it, however the vehicle rolls."""
+"""Levels a picture by the vehicle's roll: what is vertical in the world is vertical in the picture."""
 
 import collections
 import math
@@ -19,7 +19,7 @@ class RollHistory:
         self._samples = collections.deque()  # (time [s], roll [rad])
 
     def add(self, time_s, roll_rad):
-        """A measurement; a new clock (a bag that is played again) clears the rest."""
+        """Add a measurement; a new clock (a bag that is played again) clears the earlier ones."""
         step = self._stamps.look(time_s)
         if step is Step.REFUSED:
             return
