@@ -1,5 +1,5 @@
 #!/bin/bash
-# The base station of compose.yaml: gets to know the laptops, checks them, and starts the experiment of Appendix C.
+# The base station of compose.yaml: sets up and checks the laptops, and starts the experiment of Appendix C.
 #   base_station.sh [ARGUMENT:=VALUE...]        more arguments of launch/Multi_Machine_Experiment.launch
 #   ADDRESSES       where the machines are: "risc1_address:=... risc2_address:=..." up to risc4
 set -eu
@@ -9,7 +9,7 @@ read -ra addresses <<<"${ADDRESSES:?say where the machines are, as compose.yaml 
 experiment=(launch/Multi_Machine_Experiment.launch "${addresses[@]}" "fleet:=$PWD/docker/fleet.yaml" operator:=true
   "bag_prefix:=$PWD/flights/coop" "$@")
 
-# until_good TRIES COMMAND...: the other containers may still be starting
+# until_good TRIES COMMAND...: retry until it succeeds, because the other containers may still be starting
 until_good() {
   local tries=$1
   shift

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Hand the browser view of a base station (port 8080, for itself only) to one of this machine's networks.
+# Forward the browser view of a base station (port 8080, loopback only) to one of this machine's networks.
 #   browser.sh BASE_STATION OWN_ADDRESS
 set -eu
 usage='usage: browser.sh BASE_STATION OWN_ADDRESS'

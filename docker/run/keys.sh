@@ -1,6 +1,6 @@
 #!/bin/sh
-# Make a key pair, once, and the authorized_keys of the machines that it opens. Both are kept in volumes.
-#   keys.sh NAME [OPTIONS]      OPTIONS: what the key is restricted to, as sshd(8) says for authorized_keys
+# Make a key pair, once, and the authorized_keys of the machines that accept it. Both are kept in volumes.
+#   keys.sh NAME [OPTIONS]      OPTIONS: restrictions of the key, in the syntax of authorized_keys in sshd(8)
 set -eu
 name=${1:?usage: keys.sh NAME [OPTIONS]}
 key=$HOME/.ssh/id_ed25519

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Does a server listen at this TCP port of this machine? For health checks: nothing connects, so nothing is disturbed.
+# Exit with 0 if a server listens on this TCP port of this machine. For health checks: does not connect to the server.
 #   listens.sh PORT
 set -eu
 port=$(printf '%04X' "${1:?usage: listens.sh PORT}")

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Install the Debian packages of lists (one a line, '#' starts a comment), but those of another list.
+# Install the Debian packages of lists (one per line, '#' starts a comment), except those of another list.
 #   packages.sh LIST... [--without LIST]
 set -eu
 

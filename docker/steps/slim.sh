@@ -1,5 +1,5 @@
 #!/bin/sh
-# From now on dpkg leaves headers, static libraries and documents in their packages: nobody compiles on a laptop.
+# Have dpkg skip headers, static libraries and documents from now on: nothing is compiled on a laptop.
 set -eu
 cat >/etc/dpkg/dpkg.cfg.d/slim <<'TXT'
 path-exclude /usr/include/*

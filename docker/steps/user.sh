@@ -7,7 +7,7 @@ set -eu
 name=risc
 home=/home/$name
 useradd --create-home --uid "${1:-1000}" --shell /bin/bash --password '*' "$name"
-# joysticks, cameras and serial adapters; a slim system has not all of these groups
+# joysticks, cameras and serial adapters; a slim system may lack some of these groups
 for group in input video dialout; do
   getent group "$group" >/dev/null || groupadd --system "$group"
   usermod --append --groups "$group" "$name"

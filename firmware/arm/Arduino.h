@@ -1,6 +1,6 @@
-// What dueppm.ino takes of the Arduino core, from the registers of the SAM3X8E: to run the sketch as machine
-// code in an emulator. A board is loaded with the Arduino IDE, whose core also sets up clocks, USB and all
-// the rest.
+// The part of the Arduino core that dueppm.ino uses, on the registers of the SAM3X8E: to run the sketch as
+// machine code in an emulator. A real board is loaded with the Arduino IDE, whose core also sets up clocks,
+// USB and everything else.
 #pragma once
 
 #include <stddef.h>
@@ -58,7 +58,7 @@ void setup();
 void loop();
 
 uint32_t millis();
-void pinMode(uint32_t pin, uint32_t mode);  // of the LED only
+void pinMode(uint32_t pin, uint32_t mode);  // for the LED only
 void digitalWrite(uint32_t pin, uint32_t level);
 
 // The UART behind the programming port, with interrupts and two buffers of 128 bytes as in the Arduino core.

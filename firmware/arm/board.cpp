@@ -7,7 +7,7 @@ extern uint32_t _data_load, _data_start, _data_end, _bss_start, _bss_end, _stack
 extern void (*_constructors_start[])();
 extern void (*_constructors_end[])();
 
-// The compiler calls these three by itself.
+// The compiler generates calls of these three.
 void* memset(void* to, int value, size_t count) {
   for (size_t i = 0; i < count; ++i) static_cast<volatile uint8_t*>(to)[i] = static_cast<uint8_t>(value);
   return to;
@@ -160,7 +160,7 @@ extern "C" void UART_Handler() {
       REG_UART_IDR = kTxReady;
     }
   }
-  if (status & (kOverrun | kFraming)) REG_UART_CR = 1u << 8;  // forget them
+  if (status & (kOverrun | kFraming)) REG_UART_CR = 1u << 8;  // clear these errors
 }
 
 void UartSerial::begin(uint32_t baud) {

@@ -1,4 +1,4 @@
-// ROS 1 serialization of what this firmware sends and receives: little-endian, unaligned, strings with their
+// ROS 1 serialization for the messages of this firmware: little-endian, unaligned, strings preceded by their
 // length.
 #pragma once
 
@@ -26,7 +26,7 @@ inline bool equal(Text a, Text b) {
   return true;
 }
 
-// Reads never go beyond the end: what is not there is 0, and good() is false from then on.
+// Never reads beyond the end: a missing value reads as 0, and good() is false from then on.
 class Reader {
  public:
   Reader(const uint8_t* bytes, size_t length) : next_(bytes), left_(length), good_(true) {}
@@ -74,7 +74,7 @@ class Reader {
   bool good_;
 };
 
-// Writes never go beyond the end: what does not fit is left out, and good() is false from then on.
+// Never writes beyond the end: a value that does not fit is left out, and good() is false from then on.
 class Writer {
  public:
   Writer(uint8_t* bytes, size_t size) : bytes_(bytes), size_(size), length_(0), good_(true) {}

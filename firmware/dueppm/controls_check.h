@@ -1,11 +1,12 @@
-// Which messages are believed. rosserial's checksums are sums of 8 bits: one damaged packet in 256 passes
+// Decides which messages are accepted. rosserial's checksums are 8-bit sums: one damaged packet in 256 passes
 // them.
 //
-// A message that is not plausible in itself is refused, never repaired. One that differs from the last
-// accepted one by more than kJump waits: it is believed when the next message agrees with it. So is the first
-// one after a silence. A damaged message that is plausible therefore moves a channel by at most kJump of its
-// travel and by what the slew limit lets through until the next message, and cannot end a failsafe. The
-// vehicle of the first believed message is the only one until the reset: no other publisher takes the sticks.
+// An implausible message is refused, never repaired. A message that differs from the last accepted one by
+// more than kJump waits: it is accepted when the next message agrees with it. So is the first one after a
+// silence. A damaged message that is plausible therefore moves a channel by at most kJump of its travel and
+// by at most what the slew limit lets through until the next message, and cannot end a failsafe. Until the
+// reset only messages for the vehicle of the first accepted message are accepted: no other publisher gets the
+// sticks.
 #pragma once
 
 #include "messages.h"
@@ -19,7 +20,7 @@ enum class Refusal : uint8_t {
   kVehicle = 2,
   kRange = 3,
   kJump = 4
-};  // of PpmStatus
+};  // numbers of PpmStatus
 
 template <class C>
 class ControlsCheck {
@@ -28,12 +29,12 @@ class ControlsCheck {
   static_assert(C::kJump > 0.0 && C::kJump <= 2.0, "kJump: above 0, at most 2");
 
   static constexpr size_t kLongestName = 64;
-  // A silence: the failsafe may have come, which is up to a frame before kFailsafeMs.
+  // After a silence of this length the failsafe may have begun, up to a frame before kFailsafeMs.
   static constexpr uint32_t kSilenceMs = Sticks<C>::kFailsafeFrames * C::kFrameUs / 1000;
 
   struct Verdict {
     bool accepted;    // fractions() are those of this message
-    Refusal refused;  // this message; kJump: one before it, that this one does not confirm
+    Refusal refused;  // why this message is refused; kJump: the one before, which this one does not confirm
   };
 
   Verdict judge(const uint8_t* bytes, size_t length, uint32_t now_ms) {

@@ -1,5 +1,5 @@
-// The firmware without its board: bytes of the host in, bytes to the host and the lengths of the timer's
-// periods out.
+// The firmware without its board. Input: bytes from the host; output: bytes to the host and the lengths of
+// the timer's periods.
 #pragma once
 
 #include "configuration.h"
@@ -18,13 +18,13 @@ class Firmware {
                 Topic{RosserialDevice::kFirstSubscriber, Controls::kTopic, Controls::kType, Controls::kMd5}) {
   }
 
-  // loop(): a byte of the host.
+  // Called by loop(): handles a byte from the host.
   void receive(uint8_t byte, uint32_t now_ms) {
     Handler handler = {*this, now_ms};
     device_.receive(byte, now_ms, handler);
   }
 
-  // loop(): what time brings; as often as possible.
+  // Called by loop() as often as possible: does what is due.
   void poll(uint32_t now_ms) {
     Handler handler = {*this, now_ms};
     device_.poll(now_ms, handler);
@@ -37,7 +37,7 @@ class Firmware {
     if (refused_ != told_refused_ && now_ms - told_refused_ms_ >= 1000) tell_refusal(now_ms);
   }
 
-  // loop(): takes up to `most` bytes for the host.
+  // Called by loop(): takes up to `most` bytes for the host.
   size_t send(uint8_t* bytes, size_t most) { return device_.send(bytes, most); }
 
   State state() const { return sticks_.state(); }
@@ -47,11 +47,11 @@ class Firmware {
     return dueppm::led_is_on(sticks_.state(), device_.configured(), refusing, now_ms);
   }
 
-  // Interrupt: the length, in ticks, of the period that began `delay` ticks ago.
+  // Called by the interrupt: returns the length, in ticks, of the period that began `delay` ticks ago.
   uint32_t next_period(uint32_t delay) {
     uint32_t period = frame_.next(sticks_);
     if (delay > longest_delay_) longest_delay_ = delay;
-    if (delay + kMargin > period) {  // the counter would run past it, to its end: 102 s
+    if (delay + kMargin > period) {  // the counter would run past RC and on to its end: 102 s
       period = delay + kMargin;
       ++late_periods_;
     }
@@ -125,7 +125,7 @@ class Firmware {
   ControlsCheck<C> check_;
   Sticks<C> sticks_;
   PpmFrame<C> frame_;
-  uint32_t longest_delay_ = 0;  // these two: of the interrupt
+  uint32_t longest_delay_ = 0;  // this and the next one are written by the interrupt
   uint32_t late_periods_ = 0;
   uint32_t seq_ = 0;
   uint32_t status_ms_ = 0;

@@ -1,4 +1,4 @@
-// What the board's LED says; README.md has the table.
+// State of the board's LED; README.md has the table.
 #pragma once
 
 #include "sticks.h"

@@ -1,4 +1,4 @@
-// The two messages, with the MD5 sums by which both ends know that they mean the same.
+// The two messages, with the MD5 sums by which both ends check that their definitions agree.
 #pragma once
 
 #include "bytes.h"
@@ -17,7 +17,7 @@ struct Controls {
   double psi;
   double T;
 
-  // Whether the bytes are such a message, whole and nothing else. The header is not looked at.
+  // Reads the message; false if the bytes are not exactly one such message. The header is ignored.
   bool read(const uint8_t* bytes, size_t length) {
     Reader reader(bytes, length);
     reader.u32();  // seq
@@ -34,7 +34,7 @@ struct Controls {
   }
 };
 
-// risc_maap_msgs/PpmStatus, field by field as there.
+// risc_maap_msgs/PpmStatus, with the same fields.
 struct PpmStatus {
   static constexpr const char* kTopic = "ppm_status";
   static constexpr const char* kType = "risc_maap_msgs/PpmStatus";

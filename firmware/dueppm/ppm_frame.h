@@ -1,5 +1,5 @@
-// The frame: channel times one after the other, then the sync gap. Whatever it is given, a frame has its
-// length, its channels are within their limits, and the gap is long enough to be told from a channel.
+// The frame: channel times one after the other, then the sync gap. For any input the frame has its length,
+// the channels are within their limits, and the gap is long enough to be distinguished from a channel.
 #pragma once
 
 #include "sticks.h"
@@ -24,7 +24,8 @@ class PpmFrame {
     for (int i = 0; i < C::kChannels; ++i) channels_[i] = C::kCentreUs * kTicksPerUs;
   }
 
-  // Interrupt: the length, in ticks, of the period that has just begun. The sticks are asked once a frame.
+  // Called by the interrupt: returns the length, in ticks, of the period that has just begun. Reads the
+  // sticks once a frame.
   template <class Source>
   uint32_t next(Source& sticks) {
     if (at_ >= C::kChannels) {
@@ -42,7 +43,8 @@ class PpmFrame {
     return static_cast<uint32_t>(channels_[at_++]);
   }
 
-  // loop(): channel times of the newest frame, rounded; each is of one piece, two may be of two frames.
+  // Called by loop(): channel time of the newest frame, rounded. Each read is atomic, but two channels may be
+  // from different frames.
   int32_t channel_us(int i) const {
     return (__atomic_load_n(&channels_[i], __ATOMIC_RELAXED) + kTicksPerUs / 2) / kTicksPerUs;
   }
@@ -53,7 +55,7 @@ class PpmFrame {
   int32_t channels_[C::kChannels];
 };
 
-// The timer's channel mode: wave form, up to RC and again from 0 (WAVSEL 2), MCK / 2, EEVT XC0. A pulse
+// The timer's channel mode: waveform mode, up to RC and again from 0 (WAVSEL 2), MCK / 2, EEVT XC0. A pulse
 // begins with each period (ACPC, and ASWTRG for the first one) and ends at RA (ACPA).
 constexpr uint32_t timer_mode(bool pulse_high) {
   return 1u << 15 | 2u << 13 | 1u << 10 | (pulse_high ? 2u : 1u) << 16 | (pulse_high ? 1u : 2u) << 18 |

@@ -1,9 +1,9 @@
-// The device's end of rosserial: packets found in any bytes, topics announced whenever the host asks, the
-// clock, logs.
+// The device's end of rosserial: finds packets in a stream of bytes, announces topics when the host asks,
+// keeps the host's clock, sends logs.
 //
 // A packet: 0xff, 0xfe, length (2), 255 - sum of these two, topic (2), payload, 255 - sum of topic and
-// payload; sums modulo 256. Bytes that do not make a packet are given up one at a time, so a packet behind
-// damaged ones is found.
+// payload; sums modulo 256. Bytes that do not form a packet are dropped one at a time, so that a packet after
+// damaged bytes is found.
 #pragma once
 
 #include "bytes.h"
@@ -27,8 +27,8 @@ class RosserialDevice {
 
   RosserialDevice(Topic published, Topic subscribed) : published_(published), subscribed_(subscribed) {}
 
-  // A byte of the host; on_message(payload, length) for each message of the subscribed topic that it
-  // completes.
+  // Handles a byte from the host; calls on_message(payload, length) for each message of the subscribed topic
+  // that it completes.
   template <class Handler>
   void receive(uint8_t byte, uint32_t now_ms, Handler& handler) {
     if (length_ == 0) since_ms_ = now_ms;
@@ -36,7 +36,7 @@ class RosserialDevice {
     parse(now_ms, handler);
   }
 
-  // Gives up what is not a packet 20 ms after its first byte; asks for the time.
+  // Drops an incomplete packet 20 ms after its first byte; answers requests for topics; asks for the time.
   template <class Handler>
   void poll(uint32_t now_ms, Handler& handler) {
     if (length_ > 0 && now_ms - since_ms_ > kPacketMs) {
@@ -53,8 +53,8 @@ class RosserialDevice {
     }
   }
 
-  // Whether it goes out: the host knows the topic, and there is room, in which the answer to a host comes
-  // first.
+  // Queues a message. False if the host does not know the topic, an answer to the host must be sent first, or
+  // there is no room.
   bool publish(const uint8_t* payload, size_t length) {
     return configured_ && !asked_for_topics_ && put(published_.id, payload, length);
   }
@@ -81,7 +81,7 @@ class RosserialDevice {
   bool configured() const { return configured_; }
   uint32_t damaged() const { return damaged_; }
 
-  // The host's clock; 0 before it has told it.
+  // Time of the host's clock; 0 until the host has sent it.
   void now(uint32_t now_ms, uint32_t* seconds, uint32_t* nanoseconds) const {
     *seconds = *nanoseconds = 0;
     if (!synchronised_) return;
@@ -95,7 +95,7 @@ class RosserialDevice {
   static constexpr size_t kOverhead = 8;  // of a packet
   static constexpr uint32_t kPacketMs = 20;
   static constexpr uint32_t kTimeEveryMs = 2500;
-  static constexpr uint32_t kTimeAnswerMs = 1000;  // later ones say nothing about the clock
+  static constexpr uint32_t kTimeAnswerMs = 1000;  // later answers are not used for the clock
   static constexpr uint32_t kSilenceMs = 11000;
   static constexpr uint32_t kVersionEveryMs = 500;
 
@@ -140,7 +140,7 @@ class RosserialDevice {
     } else if (topic == kTime && length == 8) {
       set_clock(payload, now_ms);
     } else {
-      ++damaged_;  // nobody sends that
+      ++damaged_;  // no host sends this
     }
   }
 
@@ -148,7 +148,7 @@ class RosserialDevice {
     asked_for_topics_ = false;
     answered_ms_ = now_ms;
     ask_time(now_ms);
-    announce(kSubscriber, subscribed_);  // first: commands wait for it
+    announce(kSubscriber, subscribed_);  // first, because commands wait for it
     announce(kPublisher, published_);
     configured_ = true;
   }
@@ -188,8 +188,7 @@ class RosserialDevice {
     synchronised_ = true;
     clock_s_ = seconds;
     clock_ns_ = nanoseconds;
-    clock_ms_ =
-        now_ms - round_trip_ms / 2;  // half of the way there and back, the host's time passed meanwhile
+    clock_ms_ = now_ms - round_trip_ms / 2;  // the host sent its time about half a round trip ago
   }
 
   bool put(uint16_t topic, const uint8_t* payload, size_t length) {
@@ -228,7 +227,7 @@ class RosserialDevice {
   Topic subscribed_;
   uint8_t in_[kBuffer + kOverhead];
   size_t length_ = 0;
-  uint32_t since_ms_ = 0;  // when the first of them came, or became the first
+  uint32_t since_ms_ = 0;  // when the first byte in in_ arrived, or became the first
   uint8_t out_[kBuffer];
   size_t first_ = 0;
   size_t waiting_ = 0;

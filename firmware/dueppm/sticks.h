@@ -1,5 +1,5 @@
-// From believed commands to the channels of a frame: slew limit, failsafe, throttle lock. The timer's
-// interrupt takes one step a frame, so failsafe works also when loop() hangs.
+// From accepted commands to the channels of a frame: slew limit, failsafe, throttle lock. The timer's
+// interrupt does one step a frame, so the failsafe also works when loop() hangs.
 #pragma once
 
 #include "bytes.h"
@@ -33,7 +33,7 @@ class Sticks {
   static_assert(C::kSlewUsPerS >= 500 && C::kSlewUsPerS <= 60000, "kSlewUsPerS: 500 to 60000");
   static_assert(C::kFailsafeThrottleUs >= C::kShortestUs && C::kFailsafeThrottleUs <= C::kLongestUs,
                 "kFailsafeThrottleUs: kShortestUs to kLongestUs");
-  // Else the failsafe, and a board that waits for its first message, would command thrust.
+  // Otherwise the failsafe, and a board that waits for its first message, would command thrust.
   static_assert(C::kThrottleTravelUs > 0 ? C::kFailsafeThrottleUs <= C::kCentreUs - C::kThrottleTravelUs
                                          : C::kThrottleTravelUs < 0 &&
                                                C::kFailsafeThrottleUs >= C::kCentreUs - C::kThrottleTravelUs,
@@ -42,24 +42,24 @@ class Sticks {
 
   static constexpr int32_t kSlewTicks =
       static_cast<int32_t>(int64_t{C::kSlewUsPerS} * kTicksPerUs * C::kFrameUs / 1000000);
-  // One frame less than kFailsafeMs has: the message came up to one frame before a frame saw it.
+  // One frame less than in kFailsafeMs, because a message arrives up to one frame before a frame uses it.
   static constexpr int32_t kFailsafeFrames = C::kFailsafeMs * 1000 / C::kFrameUs - 1;
-  static constexpr double kLowest = -0.95;  // a throttle at most this unlocks it
+  static constexpr double kLowest = -0.95;  // a throttle at or below this unlocks the throttle
 
   Sticks() : goals_(), published_(0), seen_(0), silent_frames_(0), locked_(true), state_(State::kWaiting) {
     for (int i = 0; i < kSticks; ++i) now_[i] = rest(i);
   }
 
-  // loop(): new commands, fractions of the sticks' travel.
+  // Called by loop(): takes new commands, fractions of the sticks' travel.
   void follow(const double (&fractions)[kSticks]) {
     const uint32_t next = published_ + 1;  // only written here
     Goal& goal = goals_[next & 1];         // not the one that the interrupt may read now
     for (int i = 0; i < kSticks; ++i) goal.ticks[i] = ticks(i, fractions[i]);
     goal.lowest = fractions[kThrottle] <= kLowest;
-    __atomic_store_n(&published_, next, __ATOMIC_RELEASE);  // from here on the interrupt takes it, whole
+    __atomic_store_n(&published_, next, __ATOMIC_RELEASE);  // from here on the interrupt uses it, as a whole
   }
 
-  // Interrupt, as a frame begins: its channels, in ticks.
+  // Called by the interrupt when a frame begins: computes its channels, in ticks.
   void step(int32_t (&channels)[C::kChannels]) {
     const uint32_t published = __atomic_load_n(&published_, __ATOMIC_ACQUIRE);
     const Goal& goal = goals_[published & 1];
@@ -75,7 +75,7 @@ class Sticks {
       if (state_ == State::kFailsafe && C::kFailsafeHolds && i == kThrottle) wanted = now_[i];
       now_[i] += within(wanted - now_[i], -kSlewTicks, kSlewTicks);
     }
-    // The vehicle may have fallen or landed by now: the throttle starts from its lowest again.
+    // The vehicle may have fallen or landed by now: lock until a message commands the lowest throttle.
     if (state_ == State::kFailsafe && !C::kFailsafeHolds && now_[kThrottle] == rest(kThrottle))
       locked_ = true;
     for (int i = 0; i < C::kChannels; ++i) channels[i] = C::kCentreUs * kTicksPerUs;
@@ -84,7 +84,7 @@ class Sticks {
 
   State state() const { return state_; }
 
-  // Where a stick is at a fraction of its travel.
+  // Channel time, in ticks, of a stick at a fraction of its travel.
   static int32_t ticks(int stick, double fraction) {
     const double offset = fraction * (travel_us(stick) * kTicksPerUs);
     return C::kCentreUs * kTicksPerUs + static_cast<int32_t>(offset < 0 ? offset - 0.5 : offset + 0.5);
@@ -122,13 +122,13 @@ class Sticks {
                                 : C::kYawTravelUs;
   }
 
-  Goal goals_[2];       // of loop()
-  uint32_t published_;  // how many goals there were; the newest is goals_[published_ & 1]
-  uint32_t seen_;       // all below: of the interrupt
+  Goal goals_[2];       // written by loop()
+  uint32_t published_;  // number of goals so far; the newest is goals_[published_ & 1]
+  uint32_t seen_;       // this and all below are written by the interrupt
   int32_t silent_frames_;
   int32_t now_[kSticks];
   bool locked_;
-  volatile State state_;  // a byte: loop() reads it in one piece
+  volatile State state_;  // one byte, so that loop() reads it atomically
 };
 
 }  // namespace dueppm

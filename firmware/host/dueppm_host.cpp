@@ -12,12 +12,12 @@ using Configuration = dueppm::Configuration;
 using dueppm::kTicksPerUs;
 
 constexpr uint64_t kByteTicks = 10ull * 1000000 * kTicksPerUs / Configuration::kBaud;  // 8N1
-constexpr uint64_t kLoopTicks = 250 * kTicksPerUs;     // loop() runs this often at least, and with each byte
+constexpr uint64_t kLoopTicks = 250 * kTicksPerUs;     // loop() runs at least this often, and with each byte
 constexpr uint64_t kStartTicks = 20000 * kTicksPerUs;  // from reset to setup()
 constexpr size_t kMostEdges = 4096;
 constexpr size_t kMostBytes = 65536;
 
-// Timer counter 0 with its output, and a serial line in both directions. Whatever is due runs in its order.
+// Timer counter 0 with its output, and a serial line in both directions. Events run in order of time.
 class Board {
  public:
   void reset() {
@@ -28,7 +28,7 @@ class Board {
     outgoing_.clear();
     sent_.clear();
     next_byte_in_ = next_byte_out_ = pulse_end_ = kNever;
-    edge(1);  // pins of a board that starts are inputs, pulled up
+    edge(1);  // when a board starts, its pins are inputs, pulled up
     period_end_ = next_loop_ = now_ + kStartTicks;
   }
 
@@ -100,7 +100,7 @@ class Board {
   void loop() {
     firmware_.poll(now_ms());
     uint8_t bytes[64];
-    while (outgoing_.size() < 128) {  // as many fit the board's buffer
+    while (outgoing_.size() < 128) {  // size of the board's buffer
       const size_t count = firmware_.send(bytes, std::min<size_t>(sizeof bytes, 128 - outgoing_.size()));
       if (count == 0) break;
       if (outgoing_.empty()) next_byte_out_ = now_ + kByteTicks;
@@ -118,7 +118,7 @@ class Board {
   uint64_t next_byte_in_ = kNever;
   uint64_t next_byte_out_ = kNever;
   uint64_t next_loop_ = 0;
-  uint64_t line_free_ = 0;  // when the last byte in was over
+  uint64_t line_free_ = 0;  // when the next incoming byte may be complete
   std::deque<uint8_t> incoming_;
   std::deque<uint8_t> outgoing_;
   std::deque<uint8_t> sent_;

@@ -1,11 +1,11 @@
-// fuzz BYTES SEED [--unprotected]: that many noisy bytes for the firmware, and what of them reaches the
-// signal. Noisy: of noise, and of messages that the line has altered; sound messages between them are extra.
+// fuzz BYTES SEED [--unprotected]: sends that many noisy bytes to the firmware and checks its signal. Noisy
+// bytes are noise and messages altered on the line; sound messages between them do not count.
 //
-// Always: each frame has its length and its gap, each channel is within its limits and no command beyond a
-// stick's travel, no channel changes faster than the slew limit. While a host commands one constant place
-// over a line that damages bytes: no channel leaves it by more than a message that passes the checks by
-// chance may say, twice kJump. Without a host: the firmware waits. Ends with 1 and a line that says what was
-// broken; prints what it saw.
+// Checked at all times: length and gap of each frame, each channel within its limits and a stick's travel, no
+// channel faster than the slew limit. While a host commands constant sticks over a line that damages bytes:
+// no channel deviates by more than twice kJump, the most that a damaged message which passes the checks by
+// chance can command. Without a host: the firmware waits. Prints statistics; on a violation prints what was
+// broken and exits with 1.
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -19,7 +19,7 @@ namespace {
 using namespace dueppm;
 using host::Bytes;
 
-struct Unprotected : Configuration {  // the control arm: as if every message were believed at once
+struct Unprotected : Configuration {  // the control arm: every message is accepted at once
   static constexpr double kJump = 2.0;
   static constexpr int32_t kSlewUsPerS = 60000;
 };
@@ -37,9 +37,9 @@ class Fuzz {
  public:
   explicit Fuzz(unsigned seed) : random_(seed) {}
 
-  // How far a channel was from the command, in microseconds.
+  // Returns the largest deviation of a channel from the command, in microseconds.
   double run(uint64_t bytes) {
-    for (int i = 0; i < 3; ++i) {  // nobody is there
+    for (int i = 0; i < 3; ++i) {  // no host
       noise(bytes / 64);
       biased_noise(bytes / 64);
     }
@@ -76,7 +76,7 @@ class Fuzz {
   }
 
  private:
-  // A byte on the line; what the timer does meanwhile.
+  // Receives a byte and runs the timer for its duration.
   void byte(uint8_t value) {
     pass(kByteTicks);
     firmware_.receive(value, now_ms());
@@ -129,13 +129,13 @@ class Fuzz {
     noisy_ += count;
     for (uint64_t i = 0; i < count; ++i) byte(static_cast<uint8_t>(random_()));
   }
-  void biased_noise(uint64_t count) {  // of what packets are made of
+  void biased_noise(uint64_t count) {  // bytes that are frequent in packets
     noisy_ += count;
     static const uint8_t some[] = {0xff, 0xfe, 0, 100, 74, 1, 4, 255 - 74, 10, 8, 0xf7, 11, 125};
     for (uint64_t i = 0; i < count; ++i)
       byte(random_() % 16 == 0 ? static_cast<uint8_t>(random_()) : some[random_() % sizeof some]);
   }
-  void well_formed_packets(int count) {  // checksums that are right, contents that are not
+  void well_formed_packets(int count) {  // correct checksums, wrong contents
     for (int i = 0; i < count; ++i) {
       Bytes payload = host::controls(any(), any(), any(), any(), random_() % 4 == 0 ? "Raven" : "IRIS",
                                      random_() % 8 == 0 ? 2 : 1);
@@ -165,12 +165,12 @@ class Fuzz {
                                                         kCommand[kThrottle]));
   }
 
-  // Messages of one command over a line that damages about half of them: bits, bursts, lost and repeated
+  // Messages of one command over a line that damages about half of them: bits, bursts, lost and inserted
   // bytes.
   void damaged_messages(int count) {
     for (int i = 0; i < count; ++i) {
       Bytes bytes = command();
-      if (random_() % 8 == 0) {  // damage that the sum does not see, in one message
+      if (random_() % 8 == 0) {  // damage that the checksum does not detect, in one message
         const auto change = static_cast<uint8_t>(1 + random_() % 255);
         uint8_t& more = bytes[7 + random_() % (bytes.size() - 8)];
         uint8_t& less = bytes[7 + random_() % (bytes.size() - 8)];
@@ -201,19 +201,19 @@ class Fuzz {
         if (bytes.empty()) break;
       }
       send_damaged(bytes);
-      if (random_() % 50 == 0) {  // failsafe does not come: a link that is this bad also has good messages
+      if (random_() % 50 == 0) {  // avoids the failsafe: even a link as bad as this has good messages
         for (int j = 0; j < 3; ++j) send(command());
       }
     }
   }
-  void send_damaged(const Bytes& bytes) {  // damage may have left a message as it was
+  void send_damaged(const Bytes& bytes) {  // the message may be undamaged
     if (bytes != command()) {
       noisy_ += bytes.size();
       if (passes(bytes)) ++passed_;
     }
     send(bytes);
   }
-  // Whether the damaged bytes are a message all the same, of another command.
+  // Whether the damaged bytes are still a valid message, of another command.
   static bool passes(const Bytes& bytes) {
     const Bytes good = command();
     if (bytes.size() != good.size()) return false;

@@ -1,8 +1,8 @@
-// fuzz_host STEPS SEED: that many calls of the library's C interface, in any order and with any sizes.
+// fuzz_host STEPS SEED: makes that many calls of the library's C interface, in random order and sizes.
 //
-// Always: edges alternate and do not go back in time; from the second frame after a reset on, each frame has
-// its length, its gap, and its channels within their limits. Ends with 1 and a line that says what was
-// broken; prints what it saw.
+// Checked at all times: edges alternate and do not go back in time; from the second frame after a reset on,
+// each frame has its length, its gap, and its channels within their limits. Prints statistics; on a violation
+// prints what was broken and exits with 1.
 #include <cstdio>
 #include <cstdlib>
 #include <random>
@@ -31,7 +31,7 @@ class Fuzz {
   void run(uint64_t steps) {
     for (uint64_t i = 0; i < steps; ++i) {
       const uint32_t pick = random_() % 1000;
-      if (pick < 700) {  // a flight: every command is taken
+      if (pick < 700) {  // a flight: every command is accepted
         receive(host::packet(host::kControls, host::controls(0.1, 0.0, 0.0, -1)));
         advance(22000);
         take_edges(64);
@@ -51,11 +51,11 @@ class Fuzz {
       } else if (pick < 994) {
         reset();
       } else if (pick < 996) {
-        dueppm_advance(board_, now_us_ / 2);  // the past: nothing happens
+        dueppm_advance(board_, now_us_ / 2);  // a time in the past has no effect
       } else if (pick < 997) {
-        receive(noise(random_() % 100000));  // more than the line keeps
+        receive(noise(random_() % 100000));  // more than the line buffers
       } else if (pick < 998) {
-        advance(20000000);  // more edges and bytes than are kept
+        advance(20000000);  // more edges and bytes than are buffered
         forget_frame();
         take_edges(8192);
       } else {
@@ -81,7 +81,7 @@ class Fuzz {
   void advance(uint64_t us) { dueppm_advance(board_, now_us_ += us); }
 
   void reset() {
-    take_edges(8192);  // all: those that come next are of another start
+    take_edges(8192);  // all of them: later edges belong to another start
     dueppm_reset(board_);
     ++resets_;
     forget_frame();
@@ -132,7 +132,7 @@ class Fuzz {
     sum_us_ = 0;
   }
 
-  // Edges are missing, or the board starts again.
+  // Called when edges are missing, or the board restarts.
   void forget_frame() {
     level_ = -1;
     leading_ = 0;
@@ -147,7 +147,7 @@ class Fuzz {
   uint64_t last_ticks_ = 0;
   uint64_t leading_ = 0;  // the last pulse's leading edge, 0: none yet
   int level_ = -1;
-  int channels_ = 0;  // of the frame that comes in
+  int channels_ = 0;  // of the frame being received
   double sum_us_ = 0;
   double roll_us_ = 0;
   bool synchronised_ = false;

@@ -1,4 +1,4 @@
-// What a host sends, for the tests.
+// Messages of a host, for the tests.
 #pragma once
 
 #include <cstring>
@@ -37,7 +37,7 @@ inline void put(Bytes& bytes, const std::string& text) {
   bytes.insert(bytes.end(), text.begin(), text.end());
 }
 
-// Payload of risc_msgs/Controls; `objects` equal ones.
+// Payload of risc_msgs/Controls with `objects` equal objects.
 inline Bytes controls(double phi, double theta, double psi, double T, const std::string& name = "IRIS",
                       uint32_t objects = 1) {
   Bytes bytes;

@@ -18,7 +18,7 @@ struct Six : Configuration {
   static constexpr int32_t kFrameUs = 22500;
   static constexpr int32_t kPulseUs = 400;
   static constexpr int kThrottleChannel = 1, kRollChannel = 2, kPitchChannel = 3,
-                       kYawChannel = 6;  // TAER and more
+                       kYawChannel = 6;  // channel order TAER, with yaw moved to 6
   static constexpr int32_t kPitchTravelUs = -400;
 };
 struct Eight : Configuration {
@@ -201,7 +201,7 @@ TEST(Sticks, AfterAFailsafeTheThrottleDoesNotJumpBack) {
   flight.follow(0, 0.2, 20);
   flight.frames(50);
   EXPECT_EQ(flight.throttle_us(), 950);
-  flight.follow(0.5, 0.2, 50);  // the link is back, and asks for what it asked before
+  flight.follow(0.5, 0.2, 50);  // the link is back, with the same command as before
   EXPECT_EQ(flight.sticks.state(), State::kLocked);
   EXPECT_EQ(flight.throttle_us(), 950);
   EXPECT_EQ(flight.roll_us(), 1500);
@@ -234,7 +234,7 @@ TEST(Sticks, AHeldThrottleStays) {
   EXPECT_EQ(flight.sticks.state(), State::kFlying);
 }
 
-// --- which messages are believed
+// --- which messages are accepted
 
 template <class C>
 struct Judge {
@@ -331,7 +331,7 @@ TEST(Check, BelievesNoOtherVehicleUntilTheReset) {
     EXPECT_EQ(configured.judge(other.data(), other.size(), ms).refused, Refusal::kVehicle);
 }
 
-// --- the whole
+// --- the whole firmware
 
 template <class C = Configuration>
 struct Board {
@@ -399,9 +399,9 @@ TEST(Device, AsksForTheTimeAndGivesUpAHostThatNeverAnswers) {
   EXPECT_TRUE(board.sent.empty());
 }
 
-// How many milliseconds the board's clock is behind a host's whose time it got. It asked, and half of
-// `round_trip_ms` later the host answered; with `asks_again` it also asks as the answer comes, and takes that
-// for one to this question.
+// How many milliseconds the board's clock lags a host's after a time request. The host answers half of
+// `round_trip_ms` after the request. With `asks_again` the board sends another request just before the answer
+// arrives, and takes the answer for one to that request.
 double behind_ms(uint32_t round_trip_ms, bool asks_again) {
   Board<> board;
   board.send(kAsk);
@@ -450,7 +450,7 @@ TEST(Device, FindsAPacketBehindDamagedOnes) {
     bad[damaged] ^= 0x10;
     board.send(bad);
     board.send(kAsk);
-    board.run(25);  // a damaged length may wait for more, 20 ms at most
+    board.run(25);  // with a damaged length it may wait for more bytes, 20 ms at most
     EXPECT_EQ(board.packets(0), 2u) << damaged;
   }
 }

@@ -12,14 +12,14 @@
 namespace cortex_ros {
 namespace {
 
-constexpr int kMaxDatagramsPerTurn = 64;  // a flood must not keep the timers from running
+constexpr int kMaxDatagramsPerTurn = 64;  // so that a flood does not block the timers
 constexpr Time kMaxWait = std::chrono::milliseconds(50);
-constexpr Time kRestartHoldOff = std::chrono::seconds(1);  // between two set-ups that announcements provoke
+constexpr Time kRestartHoldOff = std::chrono::seconds(1);  // between two set-ups caused by announcements
 constexpr Time kPauseTimeout = std::chrono::milliseconds(100);
 constexpr int kPauseTries = 2;
 constexpr int kQuietPolls = 20;  // this many polls without a new frame: the host is paused
 constexpr double kQuietPollRateHz = 10.0;
-constexpr int kMaxStrange = 64;  // datagrams that are looked at before the kernel refuses strangers
+constexpr int kMaxStrange = 64;  // datagrams from other senders that are read before the kernel drops them
 constexpr std::size_t kMaxReports =
     16;  // of each kind: packets from other computers must not fill log and memory
 constexpr double kMinFrameRateHz = 1.0;
@@ -28,7 +28,7 @@ constexpr double kMinMillimetresPerUnit = 1e-3;        // a micrometre
 constexpr double kMaxMillimetresPerUnit = 1e6;         // a kilometre
 const Identity kIdentity{"cortex_ros", {4, 1, 0, 0}};  // program id 4: a client library
 
-// What was told replaces what was known if it lies in [least, most]; a NaN does not.
+// Replaces `known` by `told` if that lies in [least, most], which a NaN does not.
 void learn_within(std::optional<double>& known, std::optional<float> told, double least, double most) {
   if (told && *told >= least && *told <= most) {
     known = *told;
@@ -113,8 +113,8 @@ void Client::run() {
 }
 
 void Client::step(Time max_wait) {
-  // What has arrived is read before anything is sent: an answer on the way cannot be taken for one
-  // to a later request.
+  // Received datagrams are read before anything is sent, so that an answer that has already arrived is not
+  // matched to a later request.
   if (command_) {
     receive(*command_, Channel::kCommand);
   }
@@ -163,10 +163,10 @@ void Client::receive(UdpSocket& socket, Channel channel) {
 
 bool Client::is_from_host(const Endpoint& source, Channel channel) const {
   if (host_) {
-    // The stream comes from a port of the host's choice, answers come from the port that we ask.
+    // The stream may come from any port of the host, answers come from the port that we ask.
     return channel == Channel::kStream ? source.address() == host_->address() : source == *host_;
   }
-  // While searching: the host may answer from another port than the one we called, and is remembered with it.
+  // While searching: the host may answer from another port than the one we called; that port is remembered.
   if (discovering()) {
     return channel == Channel::kCommand;
   }
@@ -198,8 +198,8 @@ void Client::handle(const Datagram& datagram, Channel channel) {
   }
 }
 
-// Strangers are named once. When they send much the kernel refuses them: their datagrams must not take the
-// room of the host's.
+// Other senders are named once in the log. When they send much, the kernel drops their datagrams, so that
+// these do not take the buffer space of the host's.
 void Client::refuse(const Datagram& datagram, Channel channel) {
   ++foreign_;
   const boost::asio::ip::address address = datagram.source.address();
@@ -220,7 +220,7 @@ void Client::refuse(const Datagram& datagram, Channel channel) {
   }
 }
 
-// To be called when the host is another one.
+// Call this when the host changes.
 void Client::hear_all() {
   for (std::optional<UdpSocket>* socket : {&command_, &stream_}) {
     if (*socket) {
@@ -230,8 +230,8 @@ void Client::hear_all() {
   strange_[0] = strange_[1] = 0;
 }
 
-// Two mistakes that an answer from another address explains: a host with two interfaces that answers from the
-// one that we did not call, and a second host on the network where we took whichever answered first.
+// An answer from another address reveals two mistakes: a host with two interfaces that answers from the one
+// that we did not call, and a second host on the network although we took the one that answered first.
 void Client::hint_at_other_host(const Packet& packet, const Endpoint& source, Channel channel) {
   const auto* here = std::get_if<HereIAm>(&packet);
   if (channel != Channel::kCommand || here == nullptr) {
@@ -254,7 +254,7 @@ void Client::dispatch_while_searching(const Packet& packet, const Datagram& data
     if (here == nullptr) {
       return;
     }
-    // Other programs speak the protocol, too. A host that the user has named may be any of them.
+    // Other programs use the protocol, too. A host that the user has named may be any of them.
     if (discovering() && here->identity.version[0] != kCortexProgramId) {
       ++foreign_;
       hint_once(datagram.source, "program '" + here->identity.name + "' at " + to_string(datagram.source) +
@@ -265,7 +265,7 @@ void Client::dispatch_while_searching(const Packet& packet, const Datagram& data
     }
     connect(datagram.source, here->identity);
   } else if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
-    // It streams already, so it is there; whether it answers will be seen.
+    // It streams already, so it is running; the set-up will show whether it answers.
     if (command_) {
       connect({datagram.source.address(), options_.command_port}, Identity());
     }
@@ -298,9 +298,9 @@ void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel ch
   }
 }
 
-// A host that has just started says so; it knows nothing of the live mode that its predecessor was put into.
-// So its settings are read again. Anyone can send such a packet in the host's name: it must not cost a single
-// frame, and what was known stays known until the host itself says otherwise.
+// A host announces itself when it starts; it is then no longer in the live mode that was requested before. So
+// its settings are read again. Anyone can forge such a packet: it must not cost a single frame, and the known
+// settings stay valid until the host itself reports others.
 void Client::handle_announcement(const Identity& identity) {
   if (identity.version[0] != kCortexProgramId) {
     return;
@@ -313,8 +313,8 @@ void Client::handle_announcement(const Identity& identity) {
   }
 }
 
-// Every frame of the host is handed on as it came: late ones and duplicates, too (see frame_sequence.hpp).
-// Only a poll that finds the frame of the poll before is not one.
+// Passes on every frame of the host, including late ones and duplicates (see frame_sequence.hpp). Only a poll
+// that returns the same frame as the previous one is ignored.
 void Client::handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel) {
   if (channel == Channel::kStream) {
     last_stream_frame_ = clock_.monotonic();
@@ -356,7 +356,7 @@ void Client::report_once(const std::string& problem) {
   }
 }
 
-// Only the address tells senders apart: ports and texts are theirs to choose.
+// Senders are distinguished by address only: they can choose ports and texts freely.
 void Client::hint_once(const Endpoint& about, const std::string& hint) {
   if (hinted_.size() < kMaxReports && hinted_.insert(about.address()).second) {
     events_.on_log(LogLevel::kError, hint);
@@ -377,7 +377,7 @@ void Client::send_hello(Time now) {
   }
 }
 
-// Right after the computer was switched on the network may not be there yet: no reason to give up.
+// Right after the computer was switched on the network may not be up yet, so failures are retried.
 bool Client::ready_to_search() {
   open_stream_socket();
   std::string obstacle;
@@ -492,8 +492,9 @@ void Client::ask(const std::string& text, std::function<void(const GeneralReply&
                  });
 }
 
-// LiveMode comes last: by then everything is known that is needed to read the first frame. No answer, or none
-// that makes sense, changes nothing: a host that was in inches does not turn to millimetres by its silence.
+// LiveMode comes last: by then everything that is needed to read the first frame is known. A missing or
+// invalid answer changes nothing: a host that was in inches does not change to millimetres because it is
+// silent.
 void Client::begin_setup() {
   setting_up_ = true;
   last_setup_ = clock_.monotonic();
@@ -525,7 +526,7 @@ void Client::start_running() {
   phase_ = Phase::kRunning;
   down_reported_ = false;
   polls_without_news_ = 0;
-  last_stream_frame_ = now;  // the stream gets its time to begin
+  last_stream_frame_ = now;  // gives the stream stream_timeout to begin
   next_poll_ = now;
   polling_ = options_.mode == Mode::kPoll || !stream_;
   up_ = true;
@@ -552,7 +553,7 @@ void Client::open_stream_socket() {
     return;
   }
   try {
-    // Bound to any address, because some hosts send the stream by unicast.
+    // Bound to the wildcard address, because some hosts send the stream by unicast.
     stream_.emplace(Endpoint{Address(), options_.stream_port}, UdpSocket::Share::kYes);
   } catch (const NetworkError& error) {
     const std::string fix =
@@ -566,8 +567,8 @@ void Client::open_stream_socket() {
 }
 
 void Client::join_group() {
-  // Without a configured interface take the one that leads to the host: the route for the group, which the
-  // kernel would use, is often another one or missing.
+  // Without a configured interface, take the one that leads to the host: the route for the group, which the
+  // kernel would use, is often a different one or missing.
   try {
     const Address interface =
         local_.is_unspecified() ? source_address_towards(host_->address().to_v4()) : local_;
@@ -674,7 +675,7 @@ Time Client::time_to_next_event(Time now) const {
 void Client::wait(Time time) {
   const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(time);
   const timespec timeout{static_cast<time_t>(seconds.count()), static_cast<long>((time - seconds).count())};
-  // poll() passes over an entry with a negative descriptor.
+  // poll() skips an entry with a negative descriptor.
   pollfd waiting[] = {{command_ ? command_->fd() : -1, POLLIN, 0}, {stream_ ? stream_->fd() : -1, POLLIN, 0}};
   ppoll(waiting, std::size(waiting), &timeout, nullptr);
 }

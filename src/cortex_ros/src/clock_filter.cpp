@@ -8,7 +8,7 @@ namespace cortex_ros {
 namespace {
 
 constexpr Time kLeastStep = std::chrono::microseconds(1);
-constexpr int kAgreeing = 3;  // stamps in a row that fell back and agree are a clock that was set
+constexpr int kAgreeing = 3;  // this many increasing stamps in a row that fell back mean: our clock was set
 
 double as_ns(Time time) {
   return static_cast<double>(time.count());
@@ -23,7 +23,7 @@ double believed_delay_s(std::optional<double> reported_s, double max_s) {
 
 void ClockFilter::set_period(Time period) {
   if (as_ns(period) == period_ns_) {
-    return;  // a host that tells its rate again must not unsettle the stamps
+    return;  // a host that reports its rate again must not restart the filter
   }
   period_ns_ = as_ns(period);
   started_ = false;

@@ -14,13 +14,13 @@
 namespace cortex_ros {
 namespace {
 
-// Frames held up on the way arrive in one go, faster than roscpp's sending thread empties the queue: the ten
-// places of the original release overflow after a stall of 50 ms. This is half a second at 200 Hz.
+// Frames held up on the network arrive in one burst, faster than roscpp's sending thread empties the queue:
+// the queue of ten in the original release overflows after a stall of 50 ms. This is half a second at 200 Hz.
 constexpr int kQueueSize = 100;
 constexpr double kLogPeriodS = 5.0;
 constexpr double kStaleFrameS = 0.5;
 constexpr double kMaxMaxDelayS = 10.0;
-constexpr double kMinRateHz = 0.1;  // a slower host is one that does not tell its rate
+constexpr double kMinRateHz = 0.1;  // a lower rate counts as unknown
 constexpr char kUpAxis = 'z';
 
 ros::console::Level to_ros_level(LogLevel level) {
@@ -89,7 +89,7 @@ MocapPublisher::MocapPublisher(ros::NodeHandle& node, Parameters& parameters)
   diagnostics_.add("mocap stream", this, &MocapPublisher::diagnose);
   diagnostics_timer_ = node.createWallTimer(
       ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) { diagnostics_.force_update(); });
-  // The receive thread publishes by itself: a frame waits for no spinner and no rate.
+  // The receive thread publishes directly: a frame does not wait for a spinner or a loop rate.
   worker_ = std::thread([this] { source_->run(); });
 }
 
@@ -147,7 +147,7 @@ void MocapPublisher::on_host_up(const MocapHost& host) {
   const bool filter = filter_stamps_ && host.frame_rate_hz >= kMinRateHz;
   stamps_.set_period(filter ? from_seconds(1.0 / host.frame_rate_hz) : Time{0});
   if (is_up_) {
-    // This thread receives the frames: packets that anyone can send must not keep it busy with logging.
+    // This thread receives the frames: packets that anyone can forge must not keep it busy with logging.
     on_frequent_log(LogLevel::kInfo, "the host's settings were read again: " + host.description);
   } else {
     on_log(LogLevel::kInfo,
@@ -185,7 +185,7 @@ void MocapPublisher::on_log(LogLevel level, const std::string& text) {
 }
 
 void MocapPublisher::on_frequent_log(LogLevel level, const std::string& text) {
-  // Each of these counts its own period.
+  // Each of these macros is throttled on its own.
   if (level == LogLevel::kInfo) {
     ROS_INFO_THROTTLE(kLogPeriodS, "%s", text.c_str());
   } else {
@@ -227,7 +227,7 @@ void MocapPublisher::diagnose(diagnostic_updater::DiagnosticStatusWrapper& statu
     for (const std::string& warning : source.warnings) {
       status.mergeSummary(Level::WARN, warning);
     }
-    if (!(told.age_s <= kStaleFrameS)) {  // NaN: there was none
+    if (!(told.age_s <= kStaleFrameS)) {  // NaN: no frame yet
       status.mergeSummary(Level::WARN, "no new frames: is the host paused?");
     }
   } else {

@@ -8,7 +8,7 @@
 namespace cortex_ros {
 namespace {
 
-// Made by the first file that registers a source, in whatever order they are initialised.
+// Created by the first file that registers a source, because the order of static initialisation is not fixed.
 std::map<std::string, MakeSource>& registry() {
   static std::map<std::string, MakeSource> sources;
   return sources;

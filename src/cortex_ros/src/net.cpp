@@ -20,8 +20,8 @@ namespace {
 using boost::asio::ip::udp;
 using boost::system::error_code;
 
-constexpr int kReceiveBufferBytes = 1 << 20;   // as the original client: about two seconds of frames
-constexpr std::uint32_t kSample = 1024;        // of strangers' datagrams one in this many gets through
+constexpr int kReceiveBufferBytes = 1 << 20;   // as in the original client: about two seconds of frames
+constexpr std::uint32_t kSample = 1024;        // one in this many datagrams from other senders gets through
 constexpr std::size_t kDatagramSpace = 65536;  // larger than any datagram, so MSG_TRUNC means a fault
 
 void check(const error_code& error, const std::string& what) {
@@ -30,7 +30,7 @@ void check(const error_code& error, const std::string& what) {
   }
 }
 
-// Those that asio does not have.
+// For socket options that asio does not have.
 void set_option(int fd, int level, int name, int value) {
   if (setsockopt(fd, level, name, &value, sizeof value) != 0) {
     check({errno, boost::system::system_category()}, "cannot set option " + std::to_string(name));
@@ -48,7 +48,7 @@ std::optional<Time> kernel_time(msghdr& header) {
   return std::nullopt;
 }
 
-// Datagrams that the kernel has not given to a socket, since it was opened.
+// Number of datagrams that the kernel has dropped for a socket since it was opened.
 std::uint32_t dropped(int fd) {
   std::uint32_t memory[SK_MEMINFO_VARS] = {};
   socklen_t size = sizeof memory;
@@ -93,8 +93,8 @@ Address source_address_towards(const Address& destination) {
 std::vector<Address> broadcast_addresses(const Address& local) {
   std::vector<Address> out{Address::broadcast()};
   if (local.is_loopback()) {
-    // Interfaces do not list it, but the kernel treats it as a broadcast, which a host on this very
-    // machine hears.
+    // Interfaces do not list this address, but the kernel treats it as a broadcast, which a host on this
+    // machine receives.
     out.push_back(boost::asio::ip::make_address_v4("127.255.255.255"));
   }
   ifaddrs* list = nullptr;
@@ -120,8 +120,8 @@ UdpSocket::UdpSocket(const Endpoint& local, Share share) : buffer_(kDatagramSpac
   socket_.set_option(udp::socket::receive_buffer_size(kReceiveBufferBytes));
   socket_.set_option(udp::socket::reuse_address(share == Share::kYes));
   set_option(fd(), SOL_SOCKET, SO_TIMESTAMPNS, 1);
-  // With this a socket bound to any address would hear every group that any program of the machine has
-  // joined.
+  // With this option on, a socket bound to the wildcard address would receive every group that any program of
+  // the machine has joined.
   set_option(fd(), IPPROTO_IP, IP_MULTICAST_ALL, 0);
   error_code error;
   socket_.bind(local, error);
@@ -171,11 +171,11 @@ std::uint32_t UdpSocket::newly_refused() {
   return *refused_ - before;
 }
 
-// asio does not hand out the kernel's time.
+// Uses recvmsg, because asio does not give access to the kernel's time stamp.
 bool UdpSocket::receive(Datagram& datagram) {
   iovec space{buffer_.data(), buffer_.size()};
   alignas(cmsghdr) char control[CMSG_SPACE(sizeof(timespec))];
-  // An error that an earlier send provoked is reported here once and says nothing about waiting datagrams.
+  // An error caused by an earlier send is reported here once and says nothing about waiting datagrams.
   for (int attempt = 0; attempt < 8; ++attempt) {
     msghdr header{};
     header.msg_name = datagram.source.data();

@@ -18,7 +18,7 @@ constexpr std::size_t kSegmentBytes = 56;
 constexpr std::size_t kForceBytes = 28;
 constexpr std::size_t kAnalogBytes = 2;
 constexpr std::size_t kMinBodyBytes = 13;    // empty name, three counts
-constexpr std::size_t kQuietSpareBytes = 4;  // this many left-over bytes or fewer end a frame without a fault
+constexpr std::size_t kQuietSpareBytes = 4;  // up to this many spare bytes at the end of a frame are no fault
 constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max();
 
 template <typename Number>
@@ -33,7 +33,7 @@ template <typename... Parts>
   throw ProtocolError(message.str());
 }
 
-// Runs part() and puts the place in front of the message of an error that comes out of it.
+// Runs part(); puts the place in front of the message of an error that it throws.
 template <typename Part>
 auto within(const char* place, std::size_t index, Part part) -> decltype(part()) {
   try {
@@ -43,8 +43,8 @@ auto within(const char* place, std::size_t index, Part part) -> decltype(part())
   }
 }
 
-// The text with a question mark in place of each byte that is not UTF-8, which nothing that reads ROS
-// messages bears.
+// The text with a question mark in place of each byte that is not UTF-8, because readers of ROS messages fail
+// on invalid UTF-8.
 template <typename Iterator>
 std::string utf8(Iterator at, Iterator end) {
   namespace utf = boost::locale::utf;
@@ -58,7 +58,7 @@ std::string utf8(Iterator at, Iterator end) {
   return text;
 }
 
-// A cursor over (pointer, bytes left). Nothing is read that has not been taken from the bytes left first.
+// A cursor over (pointer, bytes left). Every read first checks and reduces the bytes left.
 class Reader {
  public:
   Reader(const std::uint8_t* data, std::size_t size) : at_(data), left_(size) {}
@@ -176,14 +176,14 @@ void skip_item(Reader& in) {
   const std::int32_t tag = in.i32("item tag");
   const std::int32_t length = in.i32("item length");
   if (length < 0 || static_cast<std::size_t>(length) > in.left()) {
-    const std::size_t left = in.rest().size();  // without a length there is no finding the next item
+    const std::size_t left = in.rest().size();  // without a length the next item cannot be found
     fail("item with tag ", tag, ": length ", length, ", ", left, " bytes left");
   }
   in.take(static_cast<std::size_t>(length), "item");
 }
 
-// Delay and tagged items: a fault here costs the faulty part, never the bodies. Every turn takes at least
-// four bytes.
+// Delay and tagged items: a fault here drops only the faulty part, never the bodies. Every iteration takes at
+// least four bytes.
 void decode_optional_sections(Reader& in, FrameOfData& frame) {
   while (in.left() > kQuietSpareBytes) {
     try {

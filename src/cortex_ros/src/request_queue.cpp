@@ -8,7 +8,7 @@ namespace {
 constexpr Time kSettle = std::chrono::milliseconds(20);  // for duplicates, between requests of one kind
 
 bool answers(RequestQueue::Kind kind, const Packet& packet) {
-  // A host that does not know the packet code says so with this one, whatever was asked.
+  // A host that does not know the packet code of a request answers with this, whatever the request was.
   if (std::holds_alternative<UnrecognizedCommand>(packet)) {
     return true;
   }
@@ -22,7 +22,7 @@ bool answers(RequestQueue::Kind kind, const Packet& packet) {
 void RequestQueue::finish(const Packet* answer, Time now) {
   const Request request = std::move(*active_);
   active_.reset();
-  // The answer that came first is that to the first try; those to the repeats follow at their pace.
+  // The first answer belongs to the first try; answers to the repeats follow at the intervals of sending.
   const Time stragglers = answer != nullptr ? last_sent_ - first_sent_ : timeout_;
   quiet_until(request.kind) = now + stragglers + kSettle;
   if (request.done) {

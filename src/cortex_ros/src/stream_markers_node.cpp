@@ -10,7 +10,7 @@
 
 namespace {
 
-// The private parameters, and the arguments of the original program: its own address and the host's.
+// Reads the private parameters, and the arguments of the original program: local address and host address.
 cortex_ros::Parameters read_parameters(int argc, char** argv) {
   XmlRpc::XmlRpcValue values;
   ros::param::get(ros::this_node::getName(), values);
@@ -27,7 +27,8 @@ cortex_ros::Parameters read_parameters(int argc, char** argv) {
   return parameters;
 }
 
-// roscpp handles SIGINT; process managers send SIGTERM, which shall end the node in the same orderly way.
+// roscpp handles SIGINT; process managers send SIGTERM, which must shut the node down in the same orderly
+// way.
 void on_terminate(int) {
   ros::requestShutdown();
 }
@@ -37,7 +38,7 @@ void on_terminate(int) {
 int main(int argc, char** argv) {
   ros::init(argc, argv, "MocapStates");
   std::signal(SIGTERM, on_terminate);
-  ros::NodeHandle node;  // outlives the try block: with the last node handle the logging ends too
+  ros::NodeHandle node;  // outlives the try block: logging stops with the last node handle
   try {
     cortex_ros::Parameters parameters = read_parameters(argc, argv);
     cortex_ros::MocapPublisher publisher(node, parameters);  // not const: its threads change it

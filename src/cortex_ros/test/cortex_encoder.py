@@ -1,4 +1,4 @@
-"""Packets with every section that the protocol has, from values of `cortex_ros.wire`: what its decoders read."""
+"""Encodes the values that `cortex_ros.wire` decodes into packets, with every section of the protocol."""
 
 import struct
 
@@ -51,7 +51,7 @@ def i32(*values):
 
 
 def _markers(markers_mm):
-    """The sentinel stands in every coordinate of a row that is not finite."""
+    """Count and coordinates. If any coordinate of a marker is not finite, all three become the sentinel."""
     markers = np.array(markers_mm, "<f4").reshape(-1, 3)
     markers[~np.isfinite(markers).all(axis=1)] = wire.MISSING_MM
     return i32(len(markers)) + markers.tobytes()

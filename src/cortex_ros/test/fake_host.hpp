@@ -1,4 +1,4 @@
-// A small Cortex host on loopback for the tests of the client, with the faults that a real one may show.
+// A small Cortex host on loopback for the tests of the client, with faults that a real host may show.
 #pragma once
 
 #include <poll.h>
@@ -18,7 +18,7 @@
 #include "cortex_ros/protocol.hpp"
 #include "encode.hpp"
 
-// Loopback has 16 million addresses: each test takes its own, so that tests in parallel never meet.
+// Loopback has 16 million addresses: each test takes its own, so that parallel tests do not interfere.
 inline std::string own_loopback_address() {
   static std::atomic<unsigned> counter{0};
   const unsigned process = static_cast<unsigned>(getpid());
@@ -65,11 +65,11 @@ class FakeHost {
     };
     bool silent = false;         // answers nothing at all
     bool deaf_to_texts = false;  // answers everything but text requests
-    int copies = 1;              // of every answer
+    int copies = 1;              // number of times each answer is sent
     std::uint8_t program = 1;    // in its identity; 1 is Cortex
     std::chrono::milliseconds delay{0};
     bool advance = true;      // the polled frame gets a new number each time
-    bool junk_first = false;  // answers of wrong types in front of the right one
+    bool junk_first = false;  // sends answers of wrong types before the right one
   };
 
   explicit FakeHost(const std::string& address, std::uint16_t port = 0)
@@ -105,7 +105,7 @@ class FakeHost {
   }
   bool could_send() const { return sent_; }
 
-  // An unsolicited packet, from the command port to the last client that was heard.
+  // Sends an unsolicited packet from the command port to the client that last sent a packet.
   void volunteer(const cortex_ros::Packet& packet) {
     cortex_ros::Endpoint client;
     {
@@ -156,7 +156,7 @@ class FakeHost {
     }
   }
 
-  // Of a text request its text, of others their command.
+  // The text of a text request, the command number of any other request.
   static std::string name_of(const cortex_ros::OtherPacket& request) {
     return request.command == 14 ? std::string(request.payload.begin(), request.payload.end() - 1)
                                  : std::to_string(request.command);

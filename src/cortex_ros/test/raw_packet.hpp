@@ -1,4 +1,4 @@
-// Builds packets byte by byte, right or wrong, without the encoder under test.
+// Builds packets byte by byte, valid or not, without the encoder under test.
 #pragma once
 
 #include <cstdint>
@@ -39,7 +39,7 @@ class RawPacket {
 
   cortex_ros::Bytes bytes() const { return bytes_declaring(payload_.size()); }
 
-  // With a length field that need not be true.
+  // The packet with this length field, which may be wrong.
   cortex_ros::Bytes bytes_declaring(std::size_t length) const {
     RawPacket header(0);
     header.u16(command_).u16(static_cast<unsigned>(length));

@@ -1,5 +1,4 @@
-// A new vendor is one file and one YAML: sources/toy.{cpp,yaml} through all that stream_markers does with
-// frames.
+// A new vendor is one file and one YAML: frames of sources/toy.{cpp,yaml} through all of stream_markers.
 
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
@@ -49,7 +48,7 @@ class Inbox {
     return messages_;
   }
 
-  // The messages, as soon as there are so many; fewer when they do not come.
+  // Waits for `count` messages and returns them; after kPatience returns those that came.
   std::vector<Message> wait_for(std::size_t count) const {
     const auto deadline = std::chrono::steady_clock::now() + kPatience;
     while (messages().size() < count && std::chrono::steady_clock::now() < deadline) {
@@ -68,7 +67,7 @@ class Sources : public testing::Test {
  protected:
   Sources() { spinner_.start(); }
 
-  // The first status of the node that says so.
+  // Waits for the first status of the node whose message contains the text.
   DiagnosticStatus status(const std::string& text) const {
     const auto deadline = std::chrono::steady_clock::now() + kPatience;
     while (std::chrono::steady_clock::now() < deadline) {

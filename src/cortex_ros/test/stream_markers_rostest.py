@@ -112,7 +112,7 @@ class Inbox:
         self.subscriber = rospy.Subscriber(topic, kind, self.messages.append, queue_size=1000, tcp_nodelay=True)
 
     def wait_for(self, condition, patience_s=PATIENCE_S):
-        """The newest message for which condition holds; fails the test when none comes."""
+        """Wait for and return the newest message that meets the condition; AssertionError after patience_s."""
         deadline = time.monotonic() + patience_s
         while time.monotonic() < deadline:
             for message in reversed(self.messages):
@@ -126,7 +126,7 @@ class StreamMarkersTest(unittest.TestCase):
     def setUp(self):
         process = os.getpid()
         self.address = "127.%d.%d.9" % (200 + process % 50, process // 50 % 250)
-        self.stream_port = free_tcp_port()  # of UDP, but Linux gives it to no other program either
+        self.stream_port = free_tcp_port()  # used for UDP; Linux gives it to no other program either
         self.host = Host(self.address, self.stream_port)
         self.host.start()
         self.node = None
@@ -172,7 +172,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertEqual((first.x, first.y, first.z), (1000.5 * 0.001, -2.0, 3.0))
         self.assertTrue(all(math.isnan(v) for v in (second.x, second.y, second.z)))
 
-        # One of the two topics may have been connected earlier: any frame that came on both will do.
+        # One of the two topics may have connected earlier: use any frame that came on both.
         reference = self.times.wait_for(lambda m: m.header.stamp in [x.header.stamp for x in self.markers.messages])
         stamp = reference.header.stamp
         self.assertLessEqual(abs(reference.frame - self.host.number), 1000)
@@ -197,7 +197,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.start_node()
         self.markers.wait_for(lambda m: True)
         self.host.silent = True
-        del self.diagnostics.messages[:]  # it was down before it was found
+        del self.diagnostics.messages[:]  # they include "host down" from before it was found
         self.assertIn("host down", self.status(DiagnosticStatus.ERROR).message)
         self.host.live = False
         self.host.silent = False
@@ -220,7 +220,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertIn(b"Pause", self.host.heard)
 
     def test_waits_for_its_own_address(self):
-        self.start_node(local_address="192.0.2.77")  # for documentation only: no computer has it
+        self.start_node(local_address="192.0.2.77")  # a documentation address: no computer has it
         status = self.status(DiagnosticStatus.ERROR)
         self.assertIn("192.0.2.77", status.message)
         self.assertIsNone(self.node.poll())
@@ -232,7 +232,7 @@ class StreamMarkersTest(unittest.TestCase):
     def test_a_hello_in_the_name_of_the_host_stops_no_frames(self):
         self.start_node()
         self.markers.wait_for(lambda m: True)
-        time.sleep(1.1)  # two set-ups within a second are not made at all
+        time.sleep(1.1)  # a second set-up within 1 s is not made
         asked = self.host.heard.count(b"GetUpAxis")
         first = self.times.wait_for(lambda m: True).frame
         self.host.stream.sendto(packet(0, b"Cortex".ljust(128, b"\0") + bytes((1, 5, 3, 1))), self.host.group)
@@ -250,7 +250,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertTrue(self.host.live)
         self.assertEqual(self.markers.messages, [])
         self.host.texts[b"GetUpAxis"] = struct.pack("<i", 2)
-        time.sleep(1.1)  # two set-ups within a second are not made at all
+        time.sleep(1.1)  # a second set-up within 1 s is not made
         self.host.stream.sendto(packet(0, b"Cortex".ljust(128, b"\0") + bytes((1, 5, 3, 1))), self.host.group)
         self.markers.wait_for(lambda m: True)
 

@@ -18,7 +18,7 @@ using namespace cortex_ros;  // NOLINT
 using std::chrono::milliseconds;
 
 constexpr std::chrono::seconds kPatience{20};
-constexpr milliseconds kStall{2000};  // longer than this computer ever stops all of its programs
+constexpr milliseconds kStall{2000};  // longer than any stall of this computer
 
 bool wait_until(const std::function<bool()>& condition) {
   const auto deadline = std::chrono::steady_clock::now() + kPatience;
@@ -35,7 +35,7 @@ std::uint16_t free_port() {
   return UdpSocket({Address(), 0}, UdpSocket::Share::kNo).local().port();
 }
 
-// Remembers what the client reported.
+// Records what the client reports.
 class Recorder : public SourceEvents {
  public:
   struct Frame {
@@ -151,7 +151,7 @@ class ClientTest : public testing::Test {
   Endpoint group() const { return {resolve("225.1.1.1"), stream_port_}; }
   Endpoint unicast() const { return {resolve("127.0.0.1"), stream_port_}; }
 
-  // Streams frames until the client has seen one; the numbers go on from `number`.
+  // Streams frames, numbered from `number` on, until the client has seen one.
   bool stream_until_seen(const RunningClient& client, const Endpoint& destination, std::int32_t& number) {
     const std::size_t before = client.events().frames().size();
     return wait_until([&] {
@@ -245,7 +245,7 @@ TEST_F(ClientTest, ARestartThatIsAnnouncedOnTheStreamIsFollowed) {
   EXPECT_TRUE(client.events().downs().empty());
 }
 
-// Anyone can send a HELLO in the host's name, and a host may be too busy to answer at once: no frame is lost.
+// Anyone can send a HELLO in the host's name, and the host may be too busy to answer: no frame may be lost.
 TEST_F(ClientTest, NoFrameIsLostWhileAnAnnouncedHostIsAskedAnew) {
   start_host();
   host_->change([](FakeHost::Behaviour& b) {
@@ -253,10 +253,10 @@ TEST_F(ClientTest, NoFrameIsLostWhileAnAnnouncedHostIsAskedAnew) {
   });
   ClientOptions o = options();
   o.mode = Mode::kStream;
-  o.request_timeout = milliseconds(60);  // times 3 tries, twice, times 4 questions: the answers never come
+  o.request_timeout = milliseconds(60);  // times 3 tries, twice, times 4 requests: none is answered
   RunningClient client(o);
   ASSERT_TRUE(client.up());
-  std::this_thread::sleep_for(milliseconds(1100));  // two set-ups within a second are not made at all
+  std::this_thread::sleep_for(milliseconds(1100));  // a second set-up within 1 s is not made
   std::int32_t number = 1;
   ASSERT_TRUE(stream_until_seen(client, group(), number));
   ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == number - 1; }));
@@ -300,7 +300,7 @@ TEST_F(ClientTest, PollingGoesOnWhileAnAnnouncedHostIsAskedAnew) {
     std::this_thread::sleep_for(milliseconds(5));
     return host_->received("GetConversionToMillimeters") >= 2;
   }));
-  // The questions take 24 s and more; these polls take 0.1 s.
+  // The unanswered requests take 24 s or more; these polls take 0.1 s.
   const std::size_t before = client.events().frames().size();
   ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= before + 20; }));
   EXPECT_EQ(client.events().ups().size(), 1u) << "still being asked";
@@ -381,7 +381,7 @@ TEST_F(ClientTest, ASecondHostThatAnswersTheSearchIsPointedOut) {
   EXPECT_EQ(client.events().ups().size(), 1u);
 }
 
-// While searching anyone can answer from any port and any address: that must fill neither log nor memory.
+// During the search anyone can answer, from any port and address: this must fill neither log nor memory.
 TEST_F(ClientTest, HintsAboutStrangersAreFew) {
   const std::uint16_t port = free_port();
   UdpSocket called({resolve(address_), port}, UdpSocket::Share::kNo);
@@ -474,7 +474,7 @@ TEST_F(ClientTest, AHostThatKnowsNoTextsStillStreams) {
 
 // ---- faulty answers
 
-// Each answer comes late enough that the request was repeated, and twice. The values are all different, so a
+// Each answer comes twice, and so late that the request was repeated. The values all differ, so that a
 // mix-up would show.
 TEST_F(ClientTest, LateAndDuplicateAnswersAreNotMixedUp) {
   start_host();
@@ -487,7 +487,7 @@ TEST_F(ClientTest, LateAndDuplicateAnswersAreNotMixedUp) {
   });
   ClientOptions o = options();
   o.request_timeout = milliseconds(60);
-  o.request_tries = 30;  // as many as it takes when the host stalls, too
+  o.request_tries = 30;  // enough even if the host stalls
   RunningClient client(o);
   ASSERT_TRUE(client.up());
   const MocapHost host = client.events().ups()[0];
@@ -526,7 +526,7 @@ TEST_F(ClientTest, PacketsOfOthersAreIgnored) {
   EXPECT_TRUE(client.events().frames().empty());
 }
 
-// While nobody reads, a stranger sends more than the buffer holds, and the host a little behind it.
+// While the socket is not read, a stranger sends more than its buffer holds, then the host sends a little.
 TEST(Socket, TheKernelRefusesStrangersBeforeTheyTakeRoom) {
   const auto from_host = [](bool hear_only) {
     UdpSocket ours({resolve(own_loopback_address()), 0}, UdpSocket::Share::kNo);
@@ -646,7 +646,7 @@ TEST_F(ClientTest, MulticastStreamReachesSeveralClients) {
   ASSERT_TRUE(second.up());
   std::int32_t number = 1;
   ASSERT_TRUE(stream_until_seen(first, group(), number));
-  EXPECT_TRUE(stream_until_seen(second, group(), number));  // which may have joined later
+  EXPECT_TRUE(stream_until_seen(second, group(), number));  // it may have joined later
   EXPECT_TRUE(wait_until([&] { return first.status().mode == "stream"; }));
   EXPECT_TRUE(host_->could_send());
 }
@@ -796,7 +796,7 @@ TEST_F(ClientTest, AStreamThatRunsAlreadyIsEvidenceOfTheHost) {
 
 // ---- a network that is not there yet
 
-// 192.0.2.0/24 is for documentation: no computer has an address in it.
+// 192.0.2.0/24 is reserved for documentation: no computer has an address in it.
 TEST_F(ClientTest, AnOwnAddressThatIsMissingIsReportedAndTriedAgain) {
   start_host();
   ClientOptions o = options();
@@ -810,7 +810,7 @@ TEST_F(ClientTest, AnOwnAddressThatIsMissingIsReportedAndTriedAgain) {
   EXPECT_NE(client.events().downs()[0].find("192.0.2.77"), std::string::npos);
   EXPECT_NE(client.status().why_down.find("192.0.2.77"), std::string::npos);
   EXPECT_FALSE(client.status().up);
-  // A stream can be heard meanwhile, but nothing can be asked.
+  // Meanwhile a stream can be received, but no request can be sent.
   for (int i = 0; i < 20; ++i) {
     host_->stream(simple_frame(i), unicast());
     std::this_thread::sleep_for(milliseconds(5));
@@ -896,7 +896,7 @@ TEST_F(ClientTest, BadOptionsAreRefusedWithAReason) {
   EXPECT_THROW(host_from_text(""), std::invalid_argument);
 }
 
-// With a clock that only the test moves: the hello is repeated with growing pauses, not in a flood.
+// In simulated time: the hello is repeated with growing pauses.
 TEST_F(ClientTest, HellosAreSentWithBackOff) {
   class HandClock : public Clock {
    public:

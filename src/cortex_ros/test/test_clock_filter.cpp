@@ -19,14 +19,14 @@ using std::chrono::milliseconds;
 
 constexpr Time kPeriod = milliseconds(5);
 constexpr Time kDelay = milliseconds(3);
-constexpr Time kEpoch = std::chrono::seconds(1700000000);  // a wall time of today's size
+constexpr Time kEpoch = std::chrono::seconds(1700000000);  // a realistic wall time
 constexpr int kLockedFrom = 400;                           // frames: two blocks of 0.5 s and a margin
 
-// A host with its own clock rate, and a network that adds time on the way.
+// A host with its own clock rate, and a network with delays.
 struct Lab {
   double drift = 0.0;  // [s/s] our clock relative to the host's
   Time jitter = std::chrono::microseconds(200);
-  Time bunch{0};          // datagrams are let through at multiples of this only; 0: at once
+  Time bunch{0};          // datagrams pass only at multiples of this; 0: at once
   Time step{0};           // our clock jumps by this ...
   int step_at = 1 << 30;  // ... before this frame
   std::mt19937 random{7};
@@ -97,8 +97,8 @@ TEST(ClockFilter, QuietNetworkGivesTheExposureTime) {
   const Outcome result = run(filter, lab, 4000);
   EXPECT_TRUE(result.locked);
   EXPECT_LE(result.worst(0, 4000), lab.jitter);
-  // Locked, the jitter of the single frame is gone: what is left is how far the envelope leaks
-  // between good frames.
+  // Once locked, the jitter of single frames is gone; what remains is the leak of the envelope between
+  // good frames.
   EXPECT_LE(result.worst(kLockedFrom, 4000), std::chrono::microseconds(100));
   expect_increasing(result.stamps);
 }
@@ -113,8 +113,8 @@ TEST(ClockFilter, BurstsOfTenMillisecondsAreTakenApart) {
     const Outcome result = run(filter, lab, 12000);  // a minute
     EXPECT_TRUE(result.locked);
     EXPECT_GE(result.worst(0, 50), milliseconds(4)) << "the bursts are there";
-    // What every frame waits at least cannot be told from a longer delay: up to 5 ms here. That changes when
-    // our clock wanders past a slot's end, at most once in a minute with 50 ppm; all other intervals are
+    // The least wait of all frames, up to 5 ms here, cannot be told from a longer delay. It changes when
+    // our clock drifts past the end of a slot, at most once a minute at 50 ppm; all other intervals are
     // those of the cameras.
     EXPECT_LE(result.worst(kLockedFrom, 12000), milliseconds(5) + std::chrono::microseconds(100)) << drift;
     int uneven = 0;
@@ -159,7 +159,7 @@ TEST(ClockFilter, OneStallIsNotAJump) {
   for (int i = 0; i < 1200; ++i) {
     Time receipt = lab.receipt(i);
     if (i >= 800 && i < 860) {
-      receipt = std::max(receipt, lab.exposure(860) + kDelay);  // 300 ms, then all at once
+      receipt = std::max(receipt, lab.exposure(860) + kDelay);  // nothing for 300 ms, then all at once
     }
     stamps.push_back(filter.stamp(i, receipt, kDelay));
     if (i > kLockedFrom) {
@@ -222,7 +222,7 @@ TEST(ClockFilter, NumbersThatRestartStartTheFilterAnew) {
   }
 }
 
-// The operator pauses the host for a moment; the numbers go on where they stopped.
+// The operator pauses the host for a moment; afterwards the numbers continue.
 TEST(ClockFilter, APauseIsNoticedWithinAFewFrames) {
   ClockFilter filter = filter_at_200_hz();
   Lab lab;

@@ -1,4 +1,4 @@
-// Frames of Cortex to those of any source, and these to messages: units, lost markers, order.
+// Cortex frames to source-independent frames, and these to messages: units, lost markers, order.
 
 #include <gtest/gtest.h>
 

@@ -37,7 +37,7 @@ NODE = runpy.run_path(str(pathlib.Path(__file__).parents[1] / "nodes" / "cortex_
 
 
 def dump(*arguments, stdin=b""):
-    """Exit code, JSON objects of the output lines, text of standard error: of the program's main, in this process."""
+    """Run main() in this process. Returns (exit code, JSON objects of the output lines, text of standard error)."""
     out, error = io.TextIOWrapper(io.BytesIO(), encoding="utf-8"), io.StringIO()
     with pytest.MonkeyPatch.context() as call:
         call.setattr(sys, "argv", ["cortex_dump", *arguments])
@@ -51,7 +51,7 @@ def dump(*arguments, stdin=b""):
 
 
 def dump_process(*arguments, stdin=b""):
-    """The same of a process of its own, without a ROS master."""
+    """As dump(), but in a process of its own, without a ROS master."""
     assert PROGRAM, "cortex_dump is not built: run ./maap test, which builds and finds it"
     environment = {key: value for key, value in os.environ.items() if not key.startswith("ROS_MASTER")}
     done = subprocess.run([PROGRAM] + list(arguments), input=stdin, capture_output=True, env=environment, timeout=60)
@@ -182,7 +182,7 @@ def test_a_host_that_goes_away_while_it_is_polled_is_waited_for_and_then_told():
                 request, client = host.recvfrom(1000)
                 polled = request[0] == Command.REQUEST_FRAME
                 host.sendto(packet if polled else identity, client)
-            host.close()  # from now on its computer refuses
+            host.close()  # later packets are refused by its computer
 
         thread = threading.Thread(target=serve)
         thread.start()
@@ -239,7 +239,7 @@ def test_a_host_that_does_not_answer():
 
 
 def test_a_flood_does_not_keep_it_from_going_on(monkeypatch):
-    """It throws away what waits, and more comes than it can read. The control arm: it would go on for ever."""
+    """It discards waiting datagrams while more come than it can read. Control arm: without a limit it never ends."""
     talk, read = connection.CortexConnection(wire.Identity("test", (4, 1, 0, 0)), "127.0.0.1", 1510), []
 
     class StillAtItError(Exception):

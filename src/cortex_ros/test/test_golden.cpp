@@ -1,4 +1,4 @@
-// Every golden packet decodes to the values of its sidecar file, as far as a client looks at them.
+// Every golden packet decodes to the values of its sidecar file; only values that a client uses are compared.
 
 #include <gtest/gtest.h>
 
@@ -85,7 +85,7 @@ TEST_P(Golden, WhatAClientSendsIsEncodedToTheSameBytes) {
 }
 
 TEST_P(Golden, EveryTruncationIsRefusedOrQuietlyShorter) {
-  // With a correct header a cut packet is refused, unless the cut takes nothing but optional parts away.
+  // With a correct header a cut packet is refused, unless the cut removes only optional parts.
   for (std::size_t size = kHeaderBytes; size < bytes_.size(); ++size) {
     Bytes cut(bytes_.begin(), bytes_.begin() + static_cast<std::ptrdiff_t>(size));
     EXPECT_THROW(decode(cut.data(), cut.size()), ProtocolError)

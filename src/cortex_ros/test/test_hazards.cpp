@@ -38,7 +38,8 @@ FrameOfData decode_frame(const Bytes& bytes) {
   return std::get<FrameOfData>(decode(bytes));
 }
 
-// Frame number and body count; then, after the bodies, empty lists and blocks up to the optional parts.
+// frame_start: frame number and body count. no_more: after the bodies, empty lists and blocks up to the
+// optional parts.
 RawPacket frame_start(std::int64_t bodies) {
   return RawPacket(kFrame).i32(1).i32(bodies);
 }
@@ -187,8 +188,7 @@ TEST(Frame, NameOfABodyIsBounded) {
                  "body 0: body name has no terminating NUL");
 }
 
-// Counts of things whose size times 12, 56 or 8 wraps 32 bits, that are negative, or that are larger than the
-// data.
+// Counts that wrap 32 bits when multiplied by the item size (12, 56 or 8), are negative, or exceed the data.
 TEST(Frame, CountsInsideABodyAreChecked) {
   for (std::int64_t count : {std::int64_t{-1}, std::int64_t{1000000}, std::int64_t{0x15555556},
                              std::int64_t{0x04924925}, std::int64_t{0x20000001}, kInt32Max, kInt32Min}) {
@@ -267,7 +267,7 @@ TEST(Optional, CutDelayIsDroppedAndCounted) {
 }
 
 TEST(Optional, ItemLengthsAreChecked) {
-  // A length of -8 led the original client round in a circle for ever.
+  // A length of -8 put the original client into an infinite loop.
   for (std::int64_t length : {std::int64_t{-8}, std::int64_t{-1}, kInt32Min, std::int64_t{9}, kInt32Max}) {
     const FrameOfData frame = decode_frame(one_body_frame().i32(777).i32(length).fill(8, 0).bytes());
     EXPECT_EQ(frame.bodies.at(0).markers.size(), 1u) << "the bodies are kept";
@@ -280,7 +280,7 @@ TEST(Optional, ItemLengthsAreChecked) {
 }
 
 TEST(Optional, ItemsAreSkippedByTheirLength) {
-  // What is in them is nobody's business here, sound or not.
+  // The client ignores their contents, valid or not.
   const FrameOfData frame = decode_frame(
       one_body_frame().i32(777).i32(5).fill(5, 1).i32(-3).i32(0).i32(11).i32(8).i32(-1).i32(-1).bytes());
   EXPECT_EQ(frame.bodies.size(), 1u);

@@ -1,4 +1,4 @@
-// Frame numbers, and requests one at a time: both pure, so time is a number here.
+// Frame numbers, and requests one at a time: neither reads a clock, so the tests pass in the time.
 
 #include <gtest/gtest.h>
 
@@ -60,7 +60,7 @@ TEST(FrameSequence, JumpsAreNoLosses) {
   EXPECT_EQ(sequence.classify(std::numeric_limits<std::int32_t>::min()), FrameOrder::kRestart);
 }
 
-// Collects what the requests came to.
+// Logs the outcomes of the requests.
 class RequestQueueTest : public testing::Test {
  protected:
   static Packet reply(const std::string& payload) {

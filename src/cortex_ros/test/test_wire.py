@@ -15,7 +15,7 @@ from cortex_ros.wire import Command
 
 GOLDEN = Path(__file__).parent / "golden"
 NAMES = sorted(path.stem for path in GOLDEN.glob("*.bin"))
-# what a packet does not determine: where the delay section is missing, and bytes of a later version
+# without the packet whose bytes do not follow from its values: it has trailing bytes of a later version
 REENCODE = [name for name in NAMES if name != "bodydefs_2_trailing"]
 
 
@@ -330,7 +330,7 @@ GOOD_TAG = i32(12, 21) + i32(1, 5, 0) + b"take.cap\0"
     "item, faults, found",
     [
         (b"", 0, True),
-        (i32(11, -8), 1, False),  # the item at which a careless decoder runs in circles
+        (i32(11, -8), 1, False),  # a careless decoder loops forever on this item
         (i32(777, 1000), 1, False),
         (i32(11, 8) + i32(-1, -1), 1, True),
         (i32(11, 16) + i32(1, 2) + bytes(8), 1, True),

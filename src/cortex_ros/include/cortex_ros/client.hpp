@@ -1,5 +1,5 @@
-// A client of a Cortex host: finds it, asks for what is needed to read its frames, receives them, and finds
-// it again when it was away. No ROS.
+// A client of a Cortex host: finds the host, asks for the settings needed to read its frames, receives the
+// frames, and reconnects after the host was away. No ROS.
 #pragma once
 
 #include <atomic>
@@ -19,15 +19,16 @@
 namespace cortex_ros {
 
 enum class Mode {
-  kAuto,    // the stream; polling while no stream comes
+  kAuto,    // the stream; polling while no stream arrives
   kStream,  // the stream only (polling if the stream's port cannot be bound at all)
   kPoll,    // polling only; no stream socket is opened
 };
 
 Mode mode_from_text(const std::string& text);  // "auto", "stream", "poll"; else throws std::invalid_argument
 
-// What a user writes for ClientOptions::host: "broadcast" asks every network of this computer (an empty
-// host); empty throws std::invalid_argument, since nothing is sent to computers that the user has not named.
+// ClientOptions::host from the text that a user gives: "broadcast" becomes an empty host (search every
+// network of this computer); an empty text throws std::invalid_argument, because nothing is sent to computers
+// that the user has not named.
 std::string host_from_text(const std::string& text);
 
 struct ClientOptions {
@@ -39,46 +40,47 @@ struct ClientOptions {
   Mode mode = Mode::kAuto;
   bool live_on_start = true;     // send LiveMode whenever the host was found (again)
   bool pause_on_exit = false;    // send Pause at the end of run(); stops the stream for other clients too
-  double frame_rate_hz = 200.0;  // for polling, when the host does not tell its own; 1 to 10000
+  double frame_rate_hz = 200.0;  // for polling, when the host does not report its own; 1 to 10000
 
   Time hello_interval = std::chrono::milliseconds(100);  // while searching; doubles up to ...
   Time hello_interval_max = std::chrono::seconds(1);
-  Time search_patience = std::chrono::milliseconds(1500);  // then a host never seen is reported as down
+  Time search_patience = std::chrono::milliseconds(1500);  // search time before the host is reported as down
   Time request_timeout = std::chrono::milliseconds(250);
   int request_tries = 3;
   Time stream_timeout = std::chrono::milliseconds(500);  // no stream for this long: poll (kAuto)
   Time poll_timeout = std::chrono::milliseconds(100);
-  Time probe_interval = std::chrono::milliseconds(250);  // hello to a host that went quiet
-  Time host_timeout = std::chrono::seconds(1);           // nothing at all from the host: it is gone
+  Time probe_interval = std::chrono::milliseconds(250);  // between hellos to a host that has gone quiet
+  Time host_timeout = std::chrono::seconds(1);           // silence after which the host counts as gone
 };
 
 constexpr double kMetresPerMillimetre = 0.001;
 
-// The one place where host units become metres. Overwrites number, delay, bodies and unidentified markers.
-// Host axes are kept. The product is taken in double precision: 1000.5 mm is 1.0005 m (the original release
+// The only place where host units are converted to metres. Overwrites number, delay, bodies and unidentified
+// markers. Keeps the host's axes. Multiplies in double precision: 1000.5 mm is 1.0005 m (the original release
 // multiplied in single precision and published 1.0005000829696655).
 void to_mocap_frame(const FrameOfData& frame, double metres_per_unit, MocapFrame& out);
 
 class Client : public MocapSource {
  public:
-  // Throws std::invalid_argument for a bad option. What the network does not give, such as a name that does
-  // not resolve or an own address that the card does not have yet, is reported as a problem and tried again
-  // while searching. `events` and `clock` must outlive the client.
+  // Throws std::invalid_argument for a bad option. Network problems, such as a host name that does not
+  // resolve or a local address that the network card does not have yet, are reported and retried while
+  // searching.
+  // `events` and `clock` must outlive the client.
   Client(ClientOptions options, SourceEvents& events, const Clock& clock);
 
   void run() override;
   void stop() noexcept override { stop_ = true; }  // ends run() within 50 ms
   SourceStatus status() const override;
 
-  // One turn of run(): handles what has arrived, does what is due, then waits for the next event, at most
-  // max_wait.
+  // One iteration of run(): handles received datagrams, does what is due, then waits for the next event, at
+  // most max_wait.
   void step(Time max_wait);
 
  private:
   enum class Phase {
     kSearching,
     kFirstSetUp,  // frames cannot be read: the host's unit is not known
-    kRunning,     // frames are handed on, also while the host is asked again
+    kRunning,     // frames are passed on, also while the host's settings are read again
   };
   enum class Channel { kCommand, kStream };
 
@@ -131,30 +133,30 @@ class Client : public MocapSource {
 
   Address local_;                           // set together with command_
   std::optional<Address> configured_host_;  // empty while discovering, and until its name resolves
-  std::optional<UdpSocket> command_;        // there unless searching; empty until it can be bound
+  std::optional<UdpSocket> command_;        // empty only while searching, until it can be bound
   std::optional<UdpSocket> stream_;
 
-  // What a host said about itself. Empty: it did not answer, or not sensibly.
+  // What the host reported about itself. Empty: no answer, or no sensible one.
   struct HostInfo {
     Identity identity;
     std::optional<double> millimetres_per_unit;
     std::optional<int> up_axis;  // 0 x, 1 y, 2 z
     std::optional<double> frame_rate_hz;
-    std::size_t bodies = 0;  // that it defines
+    std::size_t bodies = 0;  // number of bodies that it defines
     bool live_mode_accepted = false;
   };
 
   Phase phase_ = Phase::kSearching;
   std::optional<Endpoint> host_;                         // known unless searching
-  std::optional<boost::asio::ip::address> set_up_host_;  // the host that info_ tells of, once it is complete
+  std::optional<boost::asio::ip::address> set_up_host_;  // the host that info_ describes, once it is complete
   HostInfo info_;
-  bool setting_up_ = false;  // the questions of a set-up are under way, whatever the phase
+  bool setting_up_ = false;  // the requests of a set-up are in progress, in any phase
   RequestQueue requests_;
   bool down_reported_ = false;
   std::set<std::string> reported_;
-  std::set<boost::asio::ip::address> hinted_;   // that a hint was given about
-  std::set<boost::asio::ip::address> refused_;  // strangers that were named
-  int strange_[2] = {};                         // datagrams of strangers since hear_all(), by channel
+  std::set<boost::asio::ip::address> hinted_;   // senders about which a hint was logged
+  std::set<boost::asio::ip::address> refused_;  // other senders that were logged as refused
+  int strange_[2] = {};                         // datagrams from other senders since hear_all(), by channel
 
   Time search_began_;
   Time hello_interval_;
@@ -165,26 +167,26 @@ class Client : public MocapSource {
   Time last_setup_{0};
   Time last_stream_frame_{0};
   Time next_poll_{0};
-  std::optional<Time> polled_at_;  // and not answered yet; frames do not wait for answers to questions
+  std::optional<Time> polled_at_;  // of the poll not answered yet; polls do not go through requests_
   int polls_without_news_ = 0;
   std::optional<std::int32_t> newest_;  // frame number
   MocapFrame frame_;
 
-  // What status() tells, from any thread.
+  // Reported by status(), from any thread.
   using Count = std::atomic<std::uint64_t>;
   Count early_{0};         // frames dropped because the host's unit was not known yet
-  Count malformed_{0};     // packets of the host that could not be decoded
+  Count malformed_{0};     // packets from the host that could not be decoded
   Count faulty_items_{0};  // optional parts dropped from good frames
   Count foreign_{0};       // datagrams that did not come from the host
-  Count stale_{0};         // answers to no open request
+  Count stale_{0};         // answers that match no open request
   Count poll_timeouts_{0};
   Count connects_{0};       // times that the host was found
-  Count announcements_{0};  // times that it announced itself although it was there
+  Count announcements_{0};  // times that it announced itself while connected
   std::atomic<bool> up_{false};
-  std::atomic<bool> polling_{false};  // how frames come
+  std::atomic<bool> polling_{false};  // frames are polled, not streamed
   mutable std::mutex text_mutex_;
   std::string host_text_;  // address:port, or what is being searched for
-  std::string obstacle_;   // why the search cannot even begin; empty: it can
+  std::string obstacle_;   // why the search cannot begin; empty: it can
 };
 
 }  // namespace cortex_ros

@@ -1,4 +1,4 @@
-// What the number of a frame says about the frames around it. Pure.
+// Detects lost, duplicate, late and restarted frames from the frame number. Pure.
 #pragma once
 
 #include <cstdint>
@@ -13,8 +13,8 @@ enum class FrameOrder {
   kRestart,  // the host starts counting again (new take, live mode off and on), or jumped too far for a loss
 };
 
-// A frame number counts exposures and may restart at any time. So a step back is ambiguous: a short one is
-// taken for reordering by the network, unless several follow each other.
+// A frame number counts exposures and may restart at any time, so a step back is ambiguous: a short one is
+// taken for reordering by the network, unless several occur in a row.
 class FrameSequence {
  public:
   static constexpr std::int64_t kLateWindow = 8;   // frames; further back is a restart
@@ -39,7 +39,7 @@ class FrameSequence {
     return FrameOrder::kNew;
   }
 
-  // Frames missing right before the last one that was kNew.
+  // Number of frames missing immediately before the last frame if that was kNew; else 0.
   std::int64_t gap() const { return gap_; }
 
   void reset() { *this = FrameSequence(); }

@@ -1,4 +1,4 @@
-// The node's own part, the same for every source: order of the frames, stamps, messages, diagnostics, log.
+// The part of the node that is common to all sources: frame order, stamps, messages, diagnostics, log.
 #pragma once
 
 #include <diagnostic_updater/diagnostic_updater.h>
@@ -20,22 +20,22 @@
 
 namespace cortex_ros {
 
-// What the original release published for a marker that no camera saw: Cortex' sentinel, taken for
+// Coordinate that the original release published for a marker that no camera saw: Cortex' sentinel, taken as
 // millimetres.
 constexpr double kLegacyMissingM = 9999.999;
 
-// The bodies of the frame in their order, every marker in its place; those that no camera saw are NaN or the
-// legacy value. Leaves the header alone.
+// Writes the bodies and markers of the frame in their order; markers that no camera saw are NaN or the legacy
+// value. Does not change the header.
 void fill_markers(const MocapFrame& frame, bool missing_as_nan, risc_msgs::Mocap_data& out);
 
-// x, y, z of each marker after the other.
+// Flat list of the coordinates: x, y, z of the first marker, then of the next.
 std::vector<double> in_a_row(const std::vector<Position>& markers);
 
-// Wall time as a ROS stamp; a time before 1970, which a large delay can make of a small clock, becomes zero.
+// Wall time as a ROS stamp; a time before 1970 (a large delay taken off a small clock value) becomes zero.
 ros::Time to_ros_time(Time wall);
 
-// Frames of the source that the parameter `source` names -> mocap_data, mocap_time and, of those with markers
-// of no body, mocap_unidentified; once a second mocap_status.
+// Publishes the frames of the source named by the parameter `source` on mocap_data and mocap_time, markers of
+// no body on mocap_unidentified, and mocap_status once a second.
 class MocapPublisher : private SourceEvents {
  public:
   // Throws std::invalid_argument for a bad parameter.
@@ -43,9 +43,9 @@ class MocapPublisher : private SourceEvents {
   ~MocapPublisher() override;
 
  private:
-  // What the frame path knows and the diagnostics show.
+  // Written by the frame path, shown by the diagnostics.
   struct Health {
-    std::uint64_t frames = 0;  // handed on
+    std::uint64_t frames = 0;  // received, without duplicates and late ones
     std::uint64_t lost = 0;    // gaps in the frame numbers
     std::uint64_t duplicates = 0;
     std::uint64_t late = 0;      // overtaken by a newer frame, dropped

@@ -14,29 +14,29 @@ namespace cortex_ros {
 
 using Address = boost::asio::ip::address_v4;
 using Endpoint = boost::asio::ip::udp::endpoint;
-// An operation of the network that failed; what() names operation, address and reason.
+// A network operation that failed; what() names operation, address and reason.
 using NetworkError = boost::system::system_error;
 
 std::string to_string(const Endpoint& endpoint);  // address:port
 
-// Dotted quad or host name. Throws NetworkError when it does not resolve. A name may block in the resolver.
+// Address of a dotted quad or host name. Throws NetworkError when it does not resolve. Resolving a name may
+// block.
 Address resolve(const std::string& name);
 
-// The own address from which the kernel would send to `destination`; unspecified when there is no route.
+// The local address from which the kernel would send to `destination`; unspecified when there is no route.
 Address source_address_towards(const Address& destination);
 
-// Where to send a packet that every host on the local networks shall hear: the limited broadcast address and
-// the directed broadcast of each interface that is up (only of the interface that owns `local` when it is
-// given).
+// Destinations that reach every host on the local networks: the limited broadcast address and the directed
+// broadcast address of each interface that is up (only of the interface that owns `local` if that is given).
 std::vector<Address> broadcast_addresses(const Address& local);
 
-// One received datagram. `data` points into the socket's buffer and is good until the next receive().
+// One received datagram. `data` points into the socket's buffer and is valid until the next receive().
 struct Datagram {
   const std::uint8_t* data = nullptr;
   std::size_t size = 0;
   bool truncated = false;
   Endpoint source;
-  std::optional<Time> kernel_time;  // wall time at which the kernel took it from the network
+  std::optional<Time> kernel_time;  // wall time at which the kernel received it
 };
 
 // A non-blocking UDP socket with kernel receive time stamps and a large receive buffer.
@@ -53,27 +53,27 @@ class UdpSocket {
   // Joining again is harmless. Throws NetworkError.
   void join(const Address& group, const Address& interface);
 
-  // From now on the kernel refuses what does not come from `source`, before it takes room in the receive
-  // buffer and time here; but one datagram in 1024, so that strangers can still be named. False when it
-  // cannot.
+  // From now on the kernel drops datagrams from other senders than `source`, before they take up the receive
+  // buffer or our time; one in 1024 still gets through, so that their senders can be named. False when the
+  // filter cannot be installed.
   bool hear_only(const Address& source);
   void hear_all();
 
-  // How many datagrams the kernel has not taken since the last call, or since hear_only(): strangers', and
-  // what found the buffer full. 0 after hear_all().
+  // Number of datagrams that the kernel has dropped since the last call, or since hear_only(): from other
+  // senders, or because the buffer was full. 0 after hear_all().
   std::uint32_t newly_refused();
 
-  // False when nothing is waiting. Errors of the network that belong to no datagram are skipped.
+  // False when no datagram is waiting. Skips network errors that belong to no datagram.
   bool receive(Datagram& datagram);
 
-  // False when the network refused it. UDP promises nothing more anyway.
+  // False when the network refused it. True does not mean that it arrives (UDP).
   bool send(const Bytes& packet, const Endpoint& destination);
 
  private:
   boost::asio::io_context context_;
   boost::asio::ip::udp::socket socket_{context_};
   std::vector<std::uint8_t> buffer_;
-  std::optional<std::uint32_t> refused_;  // by the kernel so far; empty: it hears all
+  std::optional<std::uint32_t> refused_;  // datagrams dropped by the kernel so far; empty: no filter
 };
 
 }  // namespace cortex_ros

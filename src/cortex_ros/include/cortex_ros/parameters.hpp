@@ -1,5 +1,5 @@
-// Private parameters of the node: read once, checked for type and range; at the end those that were not read
-// are known.
+// Private parameters of the node: read once, checked for type and range. Parameters that nothing has read are
+// listed at the end.
 #pragma once
 
 #include <xmlrpcpp/XmlRpcException.h>
@@ -17,8 +17,8 @@ namespace cortex_ros {
 
 class Parameters {
  public:
-  // `values`: a struct {key: value}, or nothing. Those of the struct "mocap", which a launch file sets
-  // together, count as if they stood beside it; a parameter of its own wins.
+  // `values`: a struct {key: value}, or nothing. Members of the struct "mocap", which a launch file sets as a
+  // whole, count as top-level parameters; a top-level parameter of the same name wins.
   explicit Parameters(XmlRpc::XmlRpcValue values) : values_(std::move(values)) {
     if (values_.hasMember("mocap") && values_["mocap"].getType() == XmlRpc::XmlRpcValue::TypeStruct) {
       for (const auto& [key, value] : XmlRpc::XmlRpcValue(values_["mocap"])) {
@@ -32,8 +32,8 @@ class Parameters {
 
   void set(const std::string& key, const std::string& value) { values_[key] = value; }
 
-  // Leaves `value` alone when the parameter is not set. Throws std::invalid_argument for a wrong type, and
-  // for a port that is none.
+  // Leaves `value` unchanged when the parameter is not set. Throws std::invalid_argument for a wrong type or
+  // an invalid port.
   template <typename Value>
   void read(const std::string& key, Value& value) {
     read_.insert(key);
@@ -60,7 +60,7 @@ class Parameters {
     }
   }
 
-  // Set, but not read: misspelt, most likely.
+  // Parameters that are set but were not read: most likely misspelt.
   std::vector<std::string> unread() {
     std::vector<std::string> keys;
     for (const auto& [key, value] : values_) {

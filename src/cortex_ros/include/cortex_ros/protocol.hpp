@@ -1,11 +1,10 @@
-// The Cortex ethernet protocol (SDK2 family) as a client of its frames needs it: bytes <-> values. No
-// sockets, no clock, no ROS. Every packet with all that is in it: cortex_ros.wire (Python).
+// The Cortex ethernet protocol (SDK2 family), as far as a client of its frames needs it: bytes <-> values. No
+// sockets, no clock, no ROS. The complete codec of all packets is cortex_ros.wire (Python).
 //
 // One datagram is one packet: u16 command, u16 payload length, payload; little-endian, packed, unaligned.
-// decode() believes nothing: every length is checked against the bytes that are there before it is used, and
-// a packet that does not hold together is refused whole with a ProtocolError that names what is wrong. The
-// only parts that may fail on their own are the optional ones at the end of a frame (see
-// FrameOfData::faults).
+// decode() trusts no input: every length is checked against the available bytes before it is used, and an
+// inconsistent packet is refused as a whole with a ProtocolError that names the fault. Only the optional
+// parts at the end of a frame may fail on their own (see FrameOfData::faults).
 #pragma once
 
 #include <array>
@@ -50,7 +49,7 @@ enum class Command : std::uint16_t {
   kUnrecognizedCommand = 0x5678,
 };
 
-// Who speaks: program name and {program id, major, minor, bugfix}.
+// Identity of a program: its name and {program id, major, minor, bugfix}.
 struct Identity {
   std::string name;
   std::array<std::uint8_t, 4> version{};
@@ -66,13 +65,13 @@ struct Comment {
   std::string text;
 };
 struct BodyDefs {
-  std::size_t bodies = 0;  // that the host defines; their definitions are not looked at
+  std::size_t bodies = 0;  // number of bodies that the host defines; the definitions are not decoded
 };
 // Raw answer; what it means depends on the request. See as_float() and as_int().
 struct GeneralReply {
   Bytes payload;
 };
-// Whatever a host sends along with these is not judged.
+// The payload of these is ignored.
 struct UnrecognizedRequest {};
 struct UnrecognizedCommand {};
 
@@ -88,20 +87,19 @@ struct Body {
   std::vector<Marker> markers;
 };
 
-// One frame of motion capture. What else it may hold (segments, degrees of freedom, analog samples, forces,
-// tagged items) is checked for its length and passed over.
+// One frame of motion capture. Other contents (segments, degrees of freedom, analog samples, forces, tagged
+// items) are checked for their length and skipped.
 struct FrameOfData {
   std::int32_t frame = 0;
   std::vector<Body> bodies;
   std::vector<Marker> unidentified;
-  std::optional<float> delay_s;  // exposure to sending, as the host says it: may be nonsense, or absent
+  std::optional<float> delay_s;  // exposure to sending, as reported by the host: may be nonsense, or absent
 
-  // Optional parts that do not hold together, one text each. The bodies in front of them are good. Not on the
-  // wire.
+  // Faults of optional parts, one text each. The bodies in front of them are good. Not on the wire.
   std::vector<std::string> faults;
 };
 
-// What a client does not ask for.
+// Any packet that a client does not need.
 struct OtherPacket {
   std::uint16_t command = 0;
   Bytes payload;
@@ -113,8 +111,8 @@ using Packet = std::variant<HelloWorld, HereIAm, Comment, BodyDefs, FrameOfData,
 // Decodes exactly one packet that fills the whole buffer. Throws ProtocolError.
 Packet decode(const std::uint8_t* data, std::size_t size);
 
-// What a client sends, one datagram each: hello, a request without arguments (body definitions, frame), a
-// text request, e.g. "LiveMode". Throws ProtocolError for what is too long.
+// Packets that a client sends, one datagram each: hello, a request without arguments (body definitions,
+// frame), a text request, e.g. "LiveMode". Throws ProtocolError if the content is too long.
 Bytes encode_hello(const Identity& identity);
 Bytes encode_request(Command command);
 Bytes encode_text_request(const std::string& text);

@@ -1,4 +1,4 @@
-// Requests to the host, one at a time. Pure: told what time it is and what came, says what to send.
+// Requests to the host, one at a time. Pure: takes the time and the received packets, returns what to send.
 #pragma once
 
 #include <deque>
@@ -10,31 +10,31 @@
 
 namespace cortex_ros {
 
-// An answer on the wire names no request. What keeps answers apart here:
-//  - one request is under way at a time, and an answer must be of a type that this request can have;
-//  - before the next request of the same kind there is a pause in which answers are thrown away: a short
-//    one for duplicates, and a longer one when the request was repeated (each repeat brings an answer of its
-//    own, as late as the first one was) or given up (its answer may still come).
+// An answer on the wire does not name its request. It is matched as follows:
+//  - only one request is active at a time, and an answer must be of a type that this request can have;
+//  - before the next request of the same kind there is a pause in which answers are discarded: a short one
+//    for duplicates, and a longer one when the request was repeated (each repeat gets its own answer, as late
+//    as the first) or given up (its answer may still arrive).
 class RequestQueue {
  public:
   enum class Kind { kText, kBodyDefs };
   // Called with the answer, or with nullptr when the tries are used up. May push further requests.
   using Done = std::function<void(const Packet* answer)>;
 
-  // timeout: until a request is repeated or given up.
+  // timeout: time without an answer after which a request is repeated or given up.
   RequestQueue(Time timeout, int tries) : timeout_(timeout), tries_(tries) {}
 
   void push(Kind kind, Bytes packet, Done done) {
     waiting_.push_back({kind, std::move(packet), tries_, std::move(done)});
   }
 
-  // Gives up on what is overdue, then returns the packet to send now, if there is one.
+  // Gives up an overdue request, then returns the packet to send now, if any.
   std::optional<Bytes> update(Time now);
 
-  // Shows an incoming packet; true when it was the answer to the request under way.
+  // Handles an incoming packet; true when it was the answer to the active request.
   bool offer(const Packet& packet, Time now);
 
-  // When update() has something to do next, unless an answer comes earlier; empty when idle.
+  // Time of the next update(), unless an answer arrives earlier; empty when idle.
   std::optional<Time> next_event() const;
 
   bool idle() const { return waiting_.empty() && !active_; }

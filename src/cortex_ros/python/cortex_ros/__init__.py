@@ -1,1 +1,1 @@
-"""The Cortex protocol for Python: what the virtual lab answers and the doctor asks with. The client is in C++."""
+"""The Cortex protocol for Python, used by the virtual lab (host side) and the doctor. The node's client is in C++."""

@@ -1,12 +1,12 @@
 """The Cortex ethernet protocol (SDK2 family): datagrams to values and back. No sockets, no ROS.
 
 One UDP datagram is one packet: u16 command, u16 payload length, payload. Everything is little-endian and packed.
-Coordinates here are the wire's own: millimetres in the mocap frame, Euler angles in degrees. A missing marker is NaN in
-the values and 9999999.0 on the wire. Every packet is decoded; those that the virtual lab or a client sends are encoded.
+Coordinates are as on the wire: millimetres in the mocap frame, Euler angles in degrees. A missing marker is NaN in the
+values and 9999999.0 on the wire. Decodes every packet; encodes those that the virtual lab or a client sends.
 
-Decoding is strict: every length and count is checked against the bytes that are there, and a datagram whose declared
-length differs from its real one is refused. Refusals raise MalformedPacketError. Names are opaque bytes on the wire;
-they become str as UTF-8 with surrogate escapes, so that any name survives the way in and out.
+Decoding is strict: every length and count is checked against the available bytes, and a datagram whose declared length
+differs from its real one is refused with a MalformedPacketError. Names are opaque bytes on the wire; they become str as
+UTF-8 with surrogate escapes, so that any name survives decoding and encoding.
 """
 
 import math
@@ -25,7 +25,7 @@ MAX_PAYLOAD_BYTES = MAX_DATAGRAM_BYTES - 4
 MAX_BODIES = 100  # size of the clients' tables
 MAX_NAME_BYTES = 127  # clients keep names in 128 bytes, terminator included
 MAX_FILE_NAME_BYTES = 255  # clients keep the capture file name in 256 bytes
-MAX_DELAY_S = 10.0  # a frame that claims to be older says nothing useful: counted as a fault, taken as 0
+MAX_DELAY_S = 10.0  # a larger delay is not plausible: counted as a fault, taken as 0
 
 TAG_ENCODERS, TAG_RECORDING, TAG_LENSES = 11, 12, 13
 
@@ -57,7 +57,7 @@ class PacketTooLargeError(ValueError):
 
 
 class Identity(NamedTuple):
-    """Who speaks: program name (at most 127 bytes) and (program id, major, minor, bugfix); id 1 is Cortex."""
+    """Identity of a program: name (at most 127 bytes) and (program id, major, minor, bugfix); id 1 is Cortex."""
 
     name: str
     version: tuple[int, int, int, int]
@@ -94,7 +94,7 @@ class BodyFrame(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """A block of samples as it lies on the wire; the protocol does not document the order inside it.
+    """A block of samples in the order of the wire, which the protocol does not document.
 
     values: analog (channels * samples,) int16; forces (plates * samples, 7) float32 x, y, z, fx, fy, fz, mz; encoders
     (encoders * samples,) float64.
@@ -115,10 +115,10 @@ class Recording(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """One frame of data. What the packet does not hold is None (delay_s, encoders, recording, lenses).
+    """One frame of data. delay_s, encoders, recording and lenses are None when the packet lacks them.
 
     unidentified_mm: (u, 3) float32.   lenses: (bodies, 2) int32 zoom, focus.   other_tags: (tag, bytes) of unknown
-    tags, in order.   faults: what is wrong with the optional items that were dropped while decoding.
+    tags, in order.   faults: error texts of the optional items that were dropped while decoding.
     """
 
     number: int
@@ -135,7 +135,7 @@ class Frame(NamedTuple):
 
 
 class Packet(NamedTuple):
-    """A decoded datagram. content by command: Identity, BodyDefs, Frame, str (texts), else bytes."""
+    """A decoded datagram. Type of content by command: Identity, BodyDefs, Frame, str (texts), else bytes."""
 
     command: int
     content: Identity | BodyDefs | Frame | str | bytes
@@ -153,7 +153,7 @@ _NO_SEGMENTS_NO_DOFS = bytes(8)
 
 
 def encode_packet(command, payload=b""):
-    """Header plus payload. Raises PacketTooLargeError when the payload exceeds what one datagram holds."""
+    """Return header plus payload. Raises PacketTooLargeError when the payload does not fit one datagram."""
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise PacketTooLargeError(
             "packet %d has %d payload bytes, one datagram holds %d: send fewer bodies or markers"
@@ -163,17 +163,17 @@ def encode_packet(command, payload=b""):
 
 
 def encode_identity(command, identity):
-    """HELLO_WORLD or HERE_I_AM."""
+    """Encode HELLO_WORLD or HERE_I_AM."""
     return encode_packet(command, _IDENTITY.pack(_text(identity.name), *identity.version))
 
 
 def encode_text(command, text):
-    """GENERAL_REQUEST or COMMENT."""
+    """Encode GENERAL_REQUEST or COMMENT."""
     return encode_packet(command, _text(text, MAX_PAYLOAD_BYTES - 1))
 
 
 def encode_body_defs(body_defs):
-    """BODYDEFS packet. Raises ValueError when clients could not hold it, PacketTooLargeError when UDP could not."""
+    """Encode BODYDEFS. Raises ValueError if clients cannot hold it, PacketTooLargeError if it does not fit UDP."""
     _check_body_count(len(body_defs.bodies))
     parts = [_i32(len(body_defs.bodies))]
     for body in body_defs.bodies:
@@ -185,11 +185,11 @@ def encode_body_defs(body_defs):
 
 
 class FrameEncoder:
-    """Fast encoder for frames of one layout: the names and counts are laid out once, a frame only adds numbers.
+    """Fast encoder for frames of one layout: names and counts are written once, each frame only adds numbers.
 
-    layout: sequence of (body name, number of markers). mm_per_unit: of the coordinates that are given to encode().
-    Raises ValueError (too many bodies, bad name) and PacketTooLargeError when not even a frame without unidentified
-    markers fits.
+    layout: sequence of (body name, number of markers). mm_per_unit: unit of the coordinates given to encode().
+    Raises ValueError (too many bodies, bad name), and PacketTooLargeError if even a frame without unidentified markers
+    does not fit.
     """
 
     def __init__(self, layout, mm_per_unit=1.0):
@@ -203,7 +203,7 @@ class FrameEncoder:
             parts += [head, bytes(12 * count), _NO_SEGMENTS_NO_DOFS]
             size += len(head) + 12 * count + len(_NO_SEGMENTS_NO_DOFS)
         self.marker_count = len(starts)
-        self._starts = np.array(starts, dtype=np.int64)  # where each marker lies in the packet
+        self._starts = np.array(starts, dtype=np.int64)  # offset of each marker in the packet
         self._wire_mm = np.empty((len(starts), 3), "<f4")  # the markers as they go into the packet,
         self._wire_bytes = self._wire_mm.view(np.uint8)  # and their bytes
         self._bodies_end = size
@@ -212,11 +212,11 @@ class FrameEncoder:
         _put_markers(np.empty((0, 3)), 1.0, self._starts, self._wire_mm, self._wire_bytes, self._packet)  # loads it
 
     def encode(self, number, markers, unidentified=None, delay_s=0.0, recording=None):
-        """One FRAME_OF_DATA packet.
+        """Encode one FRAME_OF_DATA packet.
 
-        markers: (marker_count, 3) floats, bodies in layout order, rows that are not finite are missing.
+        markers: (marker_count, 3) floats, bodies in layout order; a row that is not finite is a missing marker.
         unidentified: (u, 3) or None.   recording: Recording or None.
-        Returns (bytearray packet, offset of its delay), so that set_delay() can enter the delay when it is sent.
+        Returns (bytearray packet, offset of its delay), so that set_delay() can enter the delay on sending.
         Raises PacketTooLargeError.
         """
         if markers.shape != self._wire_mm.shape:
@@ -237,7 +237,7 @@ class FrameEncoder:
         return packet, delay_offset
 
     def _end(self, loose=b"", recording=b""):
-        """What follows the bodies: unidentified markers, no analog samples and forces, a delay of 0, an item."""
+        """Bytes after the bodies: unidentified markers, no analog samples or forces, a delay of 0, a recording item."""
         end, loose_count = _i32(len(loose) // 12) + loose + bytes(24) + recording, len(loose) // 12
         payload_bytes = self._bodies_end + len(end) - 4
         if payload_bytes > MAX_PAYLOAD_BYTES:
@@ -293,7 +293,7 @@ def _i32(*values):
 
 
 def split_packet(datagram):
-    """(command, payload bytes) of a datagram whose declared and real lengths agree; else MalformedPacketError."""
+    """Return (command, payload bytes). Raises MalformedPacketError if declared and real lengths differ."""
     if len(datagram) < 4:
         raise MalformedPacketError("%d bytes are less than a header" % len(datagram))
     command, length = _HEADER.unpack_from(datagram)
@@ -304,25 +304,25 @@ def split_packet(datagram):
 
 
 def decode_packet(datagram):
-    """Packet of any command. Raises MalformedPacketError."""
+    """Decode a packet of any command. Raises MalformedPacketError."""
     command, payload = split_packet(datagram)
     decoder = _DECODERS.get(command)
     return Packet(command, payload if decoder is None else decoder(payload))
 
 
 def decode_identity(payload):
-    """Identity; bytes of later versions behind the 132 are ignored, a name without end is cut at 127 bytes."""
+    """Decode Identity; bytes after the first 132 are ignored (later versions), a name without end is cut at 127."""
     name, *version = _IDENTITY.unpack(_Reader(payload).take(_IDENTITY.size, "identity"))
     return Identity(_str(name[:MAX_NAME_BYTES].split(b"\0", 1)[0]), tuple(version))
 
 
 def decode_text(payload):
-    """Text of a GENERAL_REQUEST or COMMENT; bytes behind the terminator are ignored."""
+    """Decode the text of a GENERAL_REQUEST or COMMENT; bytes after the terminator are ignored."""
     return _Reader(payload).text("text", len(payload))
 
 
 def decode_body_defs(payload):
-    """BodyDefs; bytes behind the number of force plates belong to later versions and are ignored."""
+    """Decode BodyDefs; bytes after the number of force plates belong to later versions and are ignored."""
     reader = _Reader(payload)
     bodies = [
         BodyDef(
@@ -337,7 +337,7 @@ def decode_body_defs(payload):
 
 
 def decode_frame(payload):
-    """Frame. The sections up to the forces must be sound; a faulty optional item is dropped and counted in `faults`."""
+    """Decode Frame. The sections up to the forces must be valid; faulty optional items are dropped, see `faults`."""
     reader = _Reader(payload)
     number = reader.i32("frame number")
     bodies = [
@@ -362,7 +362,7 @@ def decode_frame(payload):
                 continue
             tag, length = reader.i32("tag"), reader.i32("tag length")
             if length < 0:
-                reader.take(reader.left)  # nothing after it can be found any more
+                reader.take(reader.left)  # the items after it cannot be found
                 raise MalformedPacketError("tag %d of %d bytes" % (tag, length))
             window = reader.take(length)
             if tag in _TAG_DECODERS:
@@ -380,7 +380,7 @@ def _str(data):
 
 
 class _Reader:
-    """Reads values from the front of `data`; running out of bytes is a MalformedPacketError."""
+    """Reads values from the front of `data`; raises MalformedPacketError when the bytes run out."""
 
     def __init__(self, data):
         self._data = data
@@ -393,7 +393,7 @@ class _Reader:
     def take(self, size, what="block"):
         at = self._at
         if size > self.left:
-            left, self._at = self.left, len(self._data)  # what is too short ends here
+            left, self._at = self.left, len(self._data)  # nothing more can be read
             raise MalformedPacketError("%s at payload byte %d: %d bytes needed, %d left" % (what, at, size, left))
         self._at = at + size
         return self._data[at : self._at]
@@ -411,7 +411,7 @@ class _Reader:
         return _str(self.take(end + 1 - self._at)[:-1])
 
     def count(self, what, smallest_bytes, limit=None):
-        """A count of things that take at least smallest_bytes each: refused when they cannot be there."""
+        """Read a count of items of at least smallest_bytes each; refuse it if the bytes left cannot hold them."""
         count = self.i32("number of " + what)
         if count < 0 or count * smallest_bytes > self.left or (limit is not None and count > limit):
             raise MalformedPacketError("%d %s in the %d bytes left" % (count, what, self.left))
@@ -424,13 +424,13 @@ class _Reader:
         return np.frombuffer(self.take(count * np.dtype(dtype).itemsize, "numbers"), dtype)
 
     def rows(self, what, width=7, dtype="<f8"):
-        """A count and so many rows of numbers."""
+        """Read a count and that number of rows."""
         count = self.count(what, width * np.dtype(dtype).itemsize)
         return self.numbers(dtype, width * count).reshape(-1, width)
 
     def markers(self, what):
         markers = self.rows(what, 3, "<f4").copy()
-        # x alone decides, as in the SDK; the comparison is false for NaN and infinities count as missing too
+        # The sentinel is tested in x only, as in the SDK; NaN and infinities count as missing, too
         markers[~(np.isfinite(markers).all(axis=1) & (markers[:, 0] != MISSING_MM))] = np.nan
         return markers
 

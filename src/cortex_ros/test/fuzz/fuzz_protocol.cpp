@@ -21,7 +21,7 @@ void require(bool condition, const char* what) {
   }
 }
 
-// A ProtocolError that comes out of here ends the run: a finding.
+// A ProtocolError thrown here ends the run as a finding.
 void check_round_trip(const Packet& packet) {
   if (const auto* frame = std::get_if<cortex_ros::FrameOfData>(&packet)) {
     require(frame->bodies.size() <= cortex_ros::kMaxBodies, "number of bodies");
@@ -45,10 +45,10 @@ void check(const Bytes& bytes) {
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  // A copy on the heap, as long as the packet: reading one byte too many is seen.
+  // A heap copy of exactly the packet's size: the sanitizer detects reading past its end.
   Bytes bytes(data, data + size);
   check(bytes);
-  // Nearly every mutation breaks the length field. With the right one the inner parts are reached as well.
+  // Nearly every mutation breaks the length field; with a correct one the inner parts are reached, too.
   if (size >= cortex_ros::kHeaderBytes) {
     const std::size_t payload = size - cortex_ros::kHeaderBytes;
     bytes[2] = static_cast<std::uint8_t>(payload & 0xff);

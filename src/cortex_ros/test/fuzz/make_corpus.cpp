@@ -43,7 +43,7 @@ std::vector<std::pair<std::string, Bytes>> seeds() {
                           .i32(99)
                           .i32(0)
                           .bytes()},
-      // Zero times something huge is a legal empty block.
+      // Zero times a huge count is a legal empty block.
       {"frame_hollow", RawPacket(kFrame).i32(1).i32(0).i32(0).i32(0).i32(kMost).i32(kMost).i32(0).bytes()},
       {"bodydefs_empty", encode(BodyDefs())},
       {"other", encode(OtherPacket{0x0180, {1, 2, 3}})},

@@ -22,7 +22,7 @@ class ToySource : public MocapSource {
     parameters.read("up_axis", up_axis_);
   }
 
-  // Every tenth number is left out, and every frame comes twice, as on a bad network.
+  // Every tenth number is missing and every frame comes twice, as on a bad network.
   void run() override {
     MocapHost host{"a toy", rate_hz_, up_axis_.at(0), {"a toy sees nothing"}};
     events_.on_host_up(host);

@@ -19,9 +19,9 @@ PARAMS = {
 
 
 class Driver(NodeProcess):
-    """drone: a ScriptedDrone, or {name: ScriptedDrone} for one driver of several, whose topics begin with their names.
-    params: private parameters besides PARAMS.  environment: variables besides our own.
-    group: parameters of the namespace `ardrone` beside the driver.
+    """drone: a ScriptedDrone, or {name: ScriptedDrone} for one driver of several, with the names as topic prefixes.
+    params: private parameters besides PARAMS.  environment: variables besides those of this process.
+    group: parameters of the namespace `ardrone` next to the driver.
     """
 
     def __init__(self, drone, params=None, arguments=(), environment=None, group=None):
@@ -39,7 +39,7 @@ class Driver(NodeProcess):
 
     @property
     def pid(self):
-        """Number of the process."""
+        """Process id."""
         return self.process.pid
 
     def call(self, service, service_type, *arguments):

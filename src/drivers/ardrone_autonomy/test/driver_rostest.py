@@ -48,9 +48,9 @@ def take_off(drone, driver, prefix=""):
 
 
 def answer_times_s(drone, driver, prefix, count=20):
-    """How long the first `count` different commands take to the vehicle [s].
+    """Times [s] that `count` different commands take to reach the vehicle.
 
-    One that a driver drops, as it has just stood still, is published again; its time counts from the first.
+    A command that the driver drops after a stall is published again; its time counts from the first attempt.
     """
     times_s = []
 
@@ -74,7 +74,7 @@ def answer_times_s(drone, driver, prefix, count=20):
 
 
 class OneDriverTest(unittest.TestCase):
-    """What the same driver does, one after the other."""
+    """Tests that share one driver, one after the other."""
 
     @classmethod
     def setUpClass(cls):
@@ -83,18 +83,18 @@ class OneDriverTest(unittest.TestCase):
         cls.driver.subscribe("ardrone/odometry", Odometry)
 
     def tearDown(self):
-        # Nothing keeps the order between topics: one that lands nothing might come after the take-off of the next test.
+        # Order between topics is not guaranteed: an unneeded land order could arrive after the next test's take-off.
         if self.drone.phase is not ControlState.LANDED:
             self.driver.publish("ardrone/land", Empty())
             wait_for(lambda: self.drone.phase is ControlState.LANDED, "landed")
 
     def said(self, fits):
-        """Whether a status of the driver on /diagnostics fits."""
+        """Whether `fits` holds for any status of the driver on /diagnostics so far."""
         messages, name = list(self.driver.received["/diagnostics"]), self.driver.namespace[1:]
         return any(fits(status) for m in messages for status in m.status if name in status.name)
 
     def test_1_configuration(self):
-        """First of all: later the vehicle reboots."""
+        """Runs first: later tests reboot the vehicle."""
         drone = self.drone
         keys = [key for key, _, _ in drone.writes]
         self.assertEqual(keys[0], "general:navdata_demo")
@@ -114,7 +114,7 @@ class OneDriverTest(unittest.TestCase):
         wait_for(lambda: drone.named("REF")[-1][1].arguments[0] == at.Ref.PADDING, "both bits to drop")
         wait_for(lambda: self.said(lambda status: "emergency" in status.message), "the emergency on /diagnostics")
         driver.publish("ardrone/takeoff", Empty())  # refused
-        time.sleep(0.5)  # nothing keeps the order between topics
+        time.sleep(0.5)  # order between topics is not guaranteed
         driver.publish("ardrone/reset", Empty())
         wait_for(lambda: not drone.emergency, "the emergency to be cleared")
         time.sleep(0.3)
@@ -230,7 +230,7 @@ class OneDriverTest(unittest.TestCase):
             wait_for(lambda topic=topic: len(driver.received[topic]) > 5, topic)
         wait_for(lambda: driver.newest("ardrone/navdata").altd == 700, "the new values")
         counts = {topic: len(driver.received[topic]) for topic in topics}
-        for topic, count in counts.items():  # what was under way on other topics is older
+        for topic, count in counts.items():  # messages in transit on other topics may be older
             wait_for(lambda t=topic, n=count: len(driver.received[t]) > n + 25, "later messages on " + topic)
         navdata, imu, mag, odometry, demo, magneto = (
             driver.newest("ardrone/" + name)
@@ -271,7 +271,7 @@ class OneDriverTest(unittest.TestCase):
 
 class DriverTest(unittest.TestCase):
     def test_one_vehicles_trouble_never_delays_another(self):
-        """One driver for three: of one link nothing comes back, one brings 1000 datagrams of garbage a second."""
+        """One driver for three vehicles: one link is silent, another brings 1000 garbage datagrams per second."""
         random_bytes = random.Random(1).randbytes
         with contextlib.ExitStack() as stack:
             drones = {name: stack.enter_context(ScriptedDrone()) for name in ("good", "gone", "noisy")}
@@ -292,23 +292,23 @@ class DriverTest(unittest.TestCase):
             )
 
             def fly_good(count):
-                """How long commands take [s], and which part of the packets is published meanwhile."""
+                """(times [s] that commands take, share of the packets that is published meanwhile)."""
                 before, sent = len(telemetry["good"]), good.packets
                 times_s = answer_times_s(good, driver, "good/", count)
                 return times_s, (len(telemetry["good"]) - before) / (good.packets - sent)
 
             rates, slower_s, slow_s = [], [], []
-            for _ in range(3):  # by turns: what else this computer begins to do spoils one of them
+            for _ in range(3):  # alternating, so that other load on this computer spoils only one round
                 quiet_s, published = fly_good(7)
                 gone.silent, noisy.garbage = True, garbage
-                beside_s, published_beside = fly_good(25)  # which takes longer than to lose a link
+                beside_s, published_beside = fly_good(25)  # takes longer than the detection of a lost link
                 rates.append(published_beside / published)
                 slower_s.append(statistics.median(beside_s) - 2.0 * statistics.median(quiet_s))
                 slow_s.append(statistics.quantiles(beside_s)[2])
                 written, counts = len(gone.writes), {name: len(telemetry[name]) for name in ("gone", "noisy")}
                 gone.silent, noisy.garbage = False, ()
                 wait_for(lambda n=written: last_write in gone.writes[n:], "the configuration of gone")
-                for name, count in counts.items():  # and both come back
+                for name, count in counts.items():  # both come back
                     wait_for(lambda name=name, n=count: len(telemetry[name]) > n + 20, "navdata of " + name)
             self.assertGreater(statistics.median(rates), 0.5, "navdata of the good vehicle is published as before")
             self.assertLess(statistics.median(slower_s), 0.02)
@@ -332,7 +332,7 @@ class DriverTest(unittest.TestCase):
             wait_for(lambda: not drone.bootstrap, "telemetry")
             before, sent_before = len(navdata), drone.packets
             wait_for(lambda: drone.packets - sent_before >= 800, "packets of the vehicle")
-            # The loop alone would publish a quarter of them; a busy computer holds back what it sent last.
+            # The loop alone would publish a quarter of them; on a busy computer the newest may still be in transit.
             self.assertGreater(len(navdata) - before, 0.5 * (drone.packets - sent_before))
 
     def test_telemetry_that_can_never_be_published_lands_and_ends(self):

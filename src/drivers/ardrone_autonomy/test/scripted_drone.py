@@ -1,4 +1,4 @@
-"""A small aircraft on loopback for the tests: obeys at once, remembers what it was told, can vanish and reboot.
+"""A small aircraft on loopback for the tests: obeys at once, records commands, can fall silent and reboot.
 
 It has no physics and no radio; the virtual lab has.
 """
@@ -34,17 +34,17 @@ def free_address():
 
 
 class ScriptedDrone:
-    """Start with `with`. All attributes may be read from other threads; lists only grow."""
+    """A context manager. All attributes may be read from other threads; lists only grow."""
 
     def __init__(self, address=None):
         self.address = address or free_address()
-        self.options = {}  # tag -> fields of the next packets besides those that follow from the state
+        self.options = {}  # tag -> fields to add to the next packets
         self.silent = False  # True: neither hears nor speaks
         self.garbage = ()  # datagrams that are sent beside every packet of navdata
         self.reboots = 0
-        self.packets = 0  # of navdata that were sent
+        self.packets = 0  # navdata packets sent
         self._stop = threading.Event()
-        self._lock = threading.Lock()  # a reboot comes between two steps of the thread
+        self._lock = threading.Lock()  # a reboot happens between two steps of the thread
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._sockets = []
         for port in (NAVDATA_PORT, AT_PORT):
@@ -73,7 +73,7 @@ class ScriptedDrone:
         self._encoder = NavdataEncoder(navdata.ALL_TAGS, gps=False)
 
     def reboot(self):
-        """Lose everything, as after a change of the battery."""
+        """Lose all state, as after a battery change."""
         with self._lock:
             self.reboots += 1
             self._forget()
@@ -105,7 +105,7 @@ class ScriptedDrone:
                 next_s = self._step(readable, next_s)
 
     def _step(self, readable, next_s):
-        """Read what has come, and send what is due. Returns when the next packet is."""
+        """Read what has arrived and send what is due. Returns the time of the next packet [s]."""
         for sock in readable:
             data, sender = sock.recvfrom(4096)
             if self.silent:
@@ -155,7 +155,7 @@ class ScriptedDrone:
             self._phase_since_s = time.monotonic()
 
     def _advance(self):
-        """Take-off, hover or fly, landing: by the levels of the last REF and PCMD."""
+        """Update the flight phase from the bits of the last REF and PCMD."""
         if self.emergency:
             return
         since_s = time.monotonic() - self._phase_since_s
@@ -171,7 +171,7 @@ class ScriptedDrone:
             self._enter(ControlState.FLYING if sticks and sticks[0] else ControlState.HOVERING)
 
     def packet(self):
-        """The next one of navdata."""
+        """The next navdata packet."""
         self._sequence += 1
         state = State.ALTITUDE_CONTROL
         if self._ack:

@@ -1,4 +1,4 @@
-"""A small camera on loopback for the tests: real H.264 in PaVE on TCP 5555, of pictures that are easily told apart."""
+"""A small camera on loopback for the tests: real H.264 in PaVE on TCP 5555, with easily distinguished pictures."""
 
 import contextlib
 import functools
@@ -42,7 +42,7 @@ def drawing(channel, number, size_px=CODED_PX):
 
 @functools.cache
 def encoded(channel=0, count=PICTURES_PER_IDR, size_px=CODED_PX, codec="libx264"):
-    """Tuple of the `count` coded drawings; the first decodes by itself, the others build upon it.
+    """Tuple of the `count` coded drawings; the first decodes by itself, the others depend on it.
 
     codec: "libx264" gives H.264 baseline, Annex B; "mpeg4" MPEG-4 part 2.
     """
@@ -67,7 +67,7 @@ def encoded(channel=0, count=PICTURES_PER_IDR, size_px=CODED_PX, codec="libx264"
 
 
 def seen_channel(rgb):
-    """The channel whose drawing a picture shows, None when it is neither."""
+    """Channel whose drawing a picture shows, or None."""
     height, width, _ = rgb.shape
     centres = [rgb[height * y // 4, width * x // 4].astype(int) for y, x in ((1, 1), (1, 3), (3, 1), (3, 3))]
     for channel, colours in enumerate(COLOURS):
@@ -77,23 +77,23 @@ def seen_channel(rgb):
 
 
 def bar_number(rgb):
-    """Number of the drawing: where the white bar is."""
+    """Number of the drawing, from the position of the white bar."""
     white = rgb[rgb.shape[0] // 8].min(axis=1) > 230
     return int(np.flatnonzero(white)[BAR_PX // 2] // BAR_PX)
 
 
 class ScriptedVideo:
-    """Start with `with`. Films all the time, with or without a connection; attributes may be changed meanwhile.
+    """A context manager. Films all the time, with or without a connection; attributes may be changed meanwhile.
 
     channel: function that returns 0 (front) or 1 (bottom), the camera that films.
-    alter: function of a picture with its header (bytes) that gives what is sent to the client instead.
+    alter: function from a picture with its header (bytes) to the bytes that are sent instead.
     """
 
     def __init__(self, address, channel=lambda: 0, header_bytes=68, alter=lambda data: data):
         self.address = address
         self.channel = channel
         self.header_bytes = header_bytes
-        self.clients = 0  # that have connected so far
+        self.clients = 0  # connections so far
         self.silent = False  # True: films, but sends nothing
         self.noise = b""  # sent before the next picture
         self.alter = alter
@@ -101,7 +101,7 @@ class ScriptedVideo:
         self._stop = threading.Event()
         self._alive = threading.Event()  # cleared: the port is closed
         self._client = None
-        for channel_number in range(2):  # not while the clock runs
+        for channel_number in range(2):  # encode before the clock starts
             encoded(channel_number)
 
     def __enter__(self):
@@ -181,7 +181,7 @@ class ScriptedVideo:
             self._listener = self._listen()
         sockets = [self._listener] + ([self._client] if self._client is not None else [])
         readable, _, _ = select.select(sockets, (), (), timeout_s)
-        if self._client in readable:  # clients send nothing: it has gone
+        if self._client in readable:  # clients send nothing: this one has disconnected
             self._drop()
         if self._listener in readable:
             self._drop()

@@ -143,7 +143,7 @@ def test_selective_messages_carry_the_wire_values(name):
 
 
 def flat(value):
-    """Numbers of a field in order, nested messages taken apart."""
+    """Numbers of a field in order, with nested messages flattened."""
     if hasattr(value, "__slots__") and hasattr(value, "_md5sum"):
         return [getattr(value, name) for name in value.__slots__]
     if isinstance(value, (list, tuple, bytes)):

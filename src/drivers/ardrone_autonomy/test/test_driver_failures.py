@@ -1,4 +1,4 @@
-"""What ardrone_driver does when something in it fails, without ROS around it and without an aircraft."""
+"""Internal failures of ardrone_driver, tested without ROS and without an aircraft."""
 
 import threading
 from collections import Counter, deque
@@ -13,7 +13,7 @@ from ardrone_autonomy.ros import node  # noqa: E402
 
 
 class Udp:
-    """A UdpThread that is noted: what happens to it."""
+    """A stand-in for UdpThread that logs its calls."""
 
     def __init__(self, log):
         self.link, self._log = SimpleNamespace(phase=Phase.READY, configurations=0), log
@@ -32,7 +32,7 @@ def log():
 
 @pytest.fixture
 def make_driver(log, monkeypatch):
-    """Function (is_alone) -> an ArdroneDriver whose publishing is the test's; ROS ends after some failures."""
+    """Function (is_alone) -> ArdroneDriver, whose publishing the test replaces; ROS shuts down after 3 failures."""
     monkeypatch.setattr(node.time, "sleep", lambda _seconds: log.append("sleep"))
     thread = SimpleNamespace(start=lambda: log.append("thread"))
     monkeypatch.setattr(node.threading, "Thread", lambda *_, **__: thread)
@@ -92,7 +92,7 @@ def test_camera_frames_that_cannot_be_published_do_not_end_a_flight(make_driver,
 
 
 def test_a_packet_that_comes_while_another_is_published_waits_for_the_next_loop(make_driver, log):
-    """Else a busy computer would publish faster than it is told to, and never come to cameras and pictures."""
+    """Otherwise a busy computer would publish above its rate, and never handle camera frames and pictures."""
     driver = make_driver(is_alone=True)
     driver._tick_video = lambda: None
     driver._telemetry.publish_camera_frames = lambda: fail(log)
@@ -109,7 +109,7 @@ def test_a_packet_that_comes_while_another_is_published_waits_for_the_next_loop(
 
 
 def test_a_packet_is_there_when_its_arrival_is_told(make_driver):
-    """Else the one who publishes would find nothing, and wait for the next."""
+    """Otherwise the publishing thread would find nothing and wait for the next packet."""
     driver = make_driver(is_alone=True)
     driver._params.realtime_navdata = True
     driver._waiting = deque(maxlen=node.REALTIME_BACKLOG)

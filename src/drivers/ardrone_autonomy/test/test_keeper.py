@@ -1,4 +1,4 @@
-"""The process that keeps vehicles hovering when their driver dies or hangs, and lands them when no other one comes."""
+"""The process that keeps vehicles hovering when their driver dies or hangs, and lands them if no new driver comes."""
 
 import contextlib
 import os
@@ -21,8 +21,8 @@ from ardrone_autonomy.protocol import AT_PORT, at
 
 FLY = at.pcmd_mag(1, *HOVER) + at.ref(2, start=True)
 LAND = at.pcmd_mag(1, *HOVER) + at.ref(2, start=False)
-# What of a driver matters here. Arguments: whether it keeps its vehicle in the air, for how long what it says holds
-# [s; 0: as a real one's], and the addresses.
+# The relevant part of a driver. Arguments: whether it keeps its vehicle in the air, for how long its notes stay valid
+# [s; 0: as a real driver's], and the addresses.
 DRIVER = """
 import sys, time
 from ardrone_autonomy.keeper import Keeper
@@ -45,16 +45,16 @@ TIMESPEC = struct.Struct("@ll")  # [s], [ns]
 
 
 class Vehicle:
-    """Hears what is sent to an aircraft."""
+    """Receives what is sent to an aircraft."""
 
     def __init__(self):
         self.address = free_address()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)  # we may be busy when something comes
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)  # kernel time stamps: this process may read late
         self._socket.bind((self.address, AT_PORT))
 
     def hears(self, wanted):
-        """Wait for a datagram. Returns when it came in [s, time.time()]."""
+        """Wait for the datagram `wanted`. Returns its time of receipt [s, time.time()]."""
         deadline_s = time.monotonic() + LIMIT_S
         while time.monotonic() < deadline_s:
             data, time_s = self.hears_within(0.1)
@@ -63,7 +63,7 @@ class Vehicle:
         raise AssertionError("%r did not come" % wanted)
 
     def hears_within(self, duration_s):
-        """The next datagram, and when it came in [s, time.time()]; None, None: there was none for so long."""
+        """(next datagram, its time of receipt [s, time.time()]), or (None, None) after duration_s."""
         if not select.select([self._socket], (), (), duration_s)[0]:
             return None, None
         data, ((_, _, stamp),), _, _ = self._socket.recvmsg(2048, socket.CMSG_SPACE(TIMESPEC.size))
@@ -84,9 +84,9 @@ def vehicles():
 
 @pytest.fixture
 def drive(vehicles):
-    """Function that starts a driver of the vehicles: (its process, that of its keeper).
+    """Function that starts a driver of the vehicles and returns (its process, the process of its keeper).
 
-    The keeper does not take it for one that hangs because this computer is busy, unless holds_s is 0.
+    Unless holds_s is 0, the keeper does not take the driver for hanging when this computer is busy.
     """
     started = []
 
@@ -116,7 +116,7 @@ def test_it_is_silent_as_long_as_the_driver_works(vehicles, drive):
 
 
 def test_a_driver_works_as_long_as_what_it_says_is_not_stale(vehicles):
-    """On a clock of our own: a driver that this computer does not run for so long hangs indeed."""
+    """In simulated time: in real time a stall of this computer would make the driver hang."""
     keeper = keeper_module.Keeper([free_address()])  # its process keeps another vehicle
     kept = keeper_module._Kept(vehicles[0].address, keeper._memory, 0)
     for k in range(10):
@@ -134,7 +134,7 @@ def test_vehicles_of_a_driver_that_was_killed_hover_and_then_land(vehicles, driv
     begin_s = [vehicle.hears(FLY) for vehicle in vehicles]
     land_s = [vehicle.hears(LAND) for vehicle in vehicles]
     assert all(land - begin > 0.9 * HOVER_S for begin, land in zip(begin_s, land_s))
-    process.wait(LAND_S + LIMIT_S)  # nothing is left behind
+    process.wait(LAND_S + LIMIT_S)  # the keeper ends, too
 
 
 def test_vehicles_on_the_ground_are_not_brought_into_the_air(vehicles, drive):
@@ -171,7 +171,7 @@ def test_a_new_driver_takes_its_vehicles_over(vehicles, drive):
         time.sleep(0.02)
     while (heard := vehicles[0].hears_within(0.0)) != (None, None):
         data, time_s = heard
-        # we may have come late: until then it was right to land
+        # before the take-over, which may come late, landing was right
         assert data != LAND or time_s < taken_s, "another driver flew it then"
     take_over(vehicles[0].address)  # without a keeper nothing happens
 
@@ -189,7 +189,7 @@ def test_another_user_does_not_send_it_away(vehicles, drive):
             os._exit(0)
         os._exit(1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, "the keeper does not listen"
-    vehicles[0].hears(LAND)  # which comes HOVER_S later, from a keeper that is still there
+    vehicles[0].hears(LAND)  # HOVER_S later, from the keeper, which is still running
 
 
 def test_the_keeper_of_a_driver_that_works_is_not_sent_away(vehicles, drive):

@@ -15,7 +15,7 @@ LEFT = Sticks(1, -0.5, 0.0, 0.0, 0.0)
 
 
 class Bench:
-    """A link, a clock that only moves when told, and a vehicle that answers every 5 ms."""
+    """A link in simulated time, and a vehicle that sends a packet every 5 ms."""
 
     def __init__(self, settle_s=0.0, command_timeout_s=0.0, writes=WRITES, land_timeout_s=0.0, lost_s=LOST_S):
         self.now_s = 100.0
@@ -37,13 +37,13 @@ class Bench:
         self.power_on()
 
     def power_on(self):
-        """A vehicle that knows nothing yet."""
+        """Reset the vehicle to its state at power-on."""
         self.speaks = True
         self.bits = int(State.BOOTSTRAP)
         self.control_state = ControlState.LANDED
         self.sequence = 0
         self.client = False
-        self.deaf_to = 0  # number of CONFIG commands that get lost
+        self.deaf_to = 0  # number of next CONFIG commands that get lost
         self.ack_stuck = False
         self.written = []
 
@@ -168,7 +168,7 @@ def test_a_lost_write_is_repeated():
 
 
 def test_an_unanswered_first_write_restarts_the_sequence():
-    # A vehicle that still counts from a former client ignores small numbers, but number 1 is always obeyed
+    # A vehicle that still expects an earlier client's numbers ignores smaller ones, but always obeys number 1
     bench = Bench()
     bench.deaf_to = 1
     bench.run(1.0)
@@ -344,7 +344,7 @@ def test_take_off_stays_set_until_landing(bench):
 def test_one_order_a_tick_reset_then_take_off_then_land_then_velocity(bench):
     bench.run(0.02)
     seen = len(bench.commands)
-    # all in one go, before the thread comes to its tick
+    # all at once, before the next tick
     for order in (bench.link.land, bench.link.take_off, bench.link.reset):
         order(bench.now_s)
     bench.link.steer(FORWARD, bench.now_s)
@@ -415,7 +415,7 @@ def test_a_reset_during_silence_is_held_as_long_as_any_other(bench):
     bench.order(bench.link.reset)
     pressed_s = bench.now_s
     bench.run(0.98)
-    assert bench.link.phase is Phase.SEARCHING  # the silence has become a loss meanwhile
+    assert bench.link.phase is Phase.SEARCHING  # the silence has turned into a loss
     refs = [command.arguments[0] for time_s, command in bench.commands if command.name == "REF" and time_s > pressed_s]
     assert all(bits & at.Ref.SELECT for bits in refs[1:])
     assert not bench.ref & at.Ref.START
@@ -475,7 +475,7 @@ def test_a_reset_before_the_first_packet_is_refused():
 
 
 def test_a_reset_outlasts_a_reboot(bench):
-    # The bootstrap bit also appears in the air, when the vehicle has not heard us for a while
+    # The bootstrap bit also appears in flight, when the vehicle has not received commands for a while
     bench.order(bench.link.reset)
     bench.run(0.1)
     bench.bits |= State.BOOTSTRAP
@@ -644,7 +644,7 @@ def test_without_that_time_out_nobody_is_landed():
 
 
 def test_who_was_never_steered_is_not_landed():
-    """By a take-off from a command line."""
+    """After a take-off from the command line, without cmd_vel."""
     bench = Bench(land_timeout_s=4.0)
     bench.run(0.5)
     bench.order(bench.link.take_off)

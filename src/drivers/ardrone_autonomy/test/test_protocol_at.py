@@ -152,7 +152,7 @@ def test_empty_datagrams_hold_nothing():
 
 @pytest.mark.parametrize("most_bytes", [wire.MAX_DATAGRAM_BYTES, 70_000])
 def test_a_datagram_of_thousands_of_lines_is_not_looked_at(monkeypatch, most_bytes):
-    """It would hold up the lab for a cycle and more. The control arm has no limit."""
+    """Parsing it would hold up the lab for a cycle or more. The control arm has no limit."""
     monkeypatch.setattr(wire, "MAX_DATAGRAM_BYTES", most_bytes)
     commands, malformed = parse_datagram(b"AT*COMWDG=1\r" * 4000)
     assert (len(commands), malformed) == ((0, 1) if most_bytes == 4096 else (4000, 0))

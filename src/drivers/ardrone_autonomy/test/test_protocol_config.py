@@ -159,7 +159,7 @@ def test_store_never_raises_and_can_always_be_read_back(key, text, ids):
     assert list(id_lines(store.custom_ids_text())) == ["common", "applis", "profiles", "sessions"]
 
 
-# ------------------------------------------------------------------ the aircraft's side
+# ------------------------------------------------------------------ on the aircraft
 
 
 def use(store, ids=IDS):
@@ -223,7 +223,7 @@ def test_without_ids_the_default_profile_is_written():
     assert store.get("control:euler_angle_max") == 0.3
     use(store)
     assert store.get("control:euler_angle_max") == 0.209440
-    assert store.write("control:euler_angle_max", "0.4")  # a client that knows nothing of ids
+    assert store.write("control:euler_angle_max", "0.4")  # a client that does not use ids
     assert store.get("control:euler_angle_max") == 0.209440
     store.write("custom:profile_id", "00000000", IDS)
     assert store.get("control:euler_angle_max") == 0.4

@@ -159,7 +159,7 @@ def test_shorter_options_read_zero_behind_their_required_fields():
     assert raw.alt_temp_raw == 0x01010101 and raw.gradient == 0
     part = Navdata(packet((Tag.PWM, b"\x09" * 8))).option(Tag.PWM)
     assert part.sat_motor4 == 9 and part.gaz_feed_forward == 0.0
-    for size in (9, 10, 11):  # half a field is worth nothing
+    for size in (9, 10, 11):  # partial fields are dropped
         part = Navdata(packet((Tag.PWM, b"\x09" * size))).option(Tag.PWM)
         assert part.sat_motor4 == 9 and part.gaz_feed_forward == 0.0
     half = Navdata(packet((Tag.MAGNETO, b"\x09" * 6 + struct.pack("<3f", 1.0, 2.0, 3.0)[:-1]))).option(Tag.MAGNETO)

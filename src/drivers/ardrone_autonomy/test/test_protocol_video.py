@@ -18,7 +18,7 @@ from ardrone_autonomy.protocol.video import (
 )
 from risc_simulator.video.stream_writer import StreamWriter, nal_units
 
-# Put down by hand from the table of the protocol: (offset, format, value).
+# Written by hand from the protocol's table: (offset, format, value).
 FIELDS_BY_HAND = {
     "version": (4, "<B", 2),
     "codec": (5, "<B", 4),
@@ -203,7 +203,7 @@ def test_byte_by_byte_each_packet_comes_with_its_last_byte():
     assert ends == [sum(lengths[: i + 1]) for i in range(3)]
 
 
-# Bytes in which the parser's special cases are frequent
+# Bytes that often trigger the parser's special cases
 spice = st.sampled_from([b"P", b"Pa", b"PaV", b"PaVE", b"PaVEPaVE", b"\0", header_by_hand(), header_by_hand()[:64]])
 noise = st.lists(st.one_of(spice, st.binary(max_size=80)), max_size=8).map(b"".join)
 
@@ -239,7 +239,7 @@ def test_a_payload_announced_too_long_costs_one_picture(surplus):
     damaged = bytearray(data)
     struct.pack_into("<I", damaged, 8, len(payloads[0]) + surplus)
     parser, packets = feed_in_pieces(bytes(damaged), [])
-    if surplus < 4:  # the next magic is cut: two pictures, of which the first is delivered with a strange end
+    if surplus < 4:  # the next magic is cut: the first picture is delivered with extra bytes, the second is lost
         assert [p.payload for p in packets[1:]] == payloads[2:]
     else:
         assert [p.payload for p in packets] == payloads[1:]
@@ -296,7 +296,7 @@ def test_reset_forgets_half_a_picture():
 
 
 class CountingBuffer(bytearray):
-    """Counts the bytes that are looked at when something is searched."""
+    """Counts the bytes that find() examines."""
 
     looked_at = 0
 

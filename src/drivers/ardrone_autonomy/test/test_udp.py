@@ -81,7 +81,7 @@ def test_stop_hovers_lands_and_frees_the_sockets(drone):
     thread.stop()
     wait_for(lambda: drone.phase in (ControlState.LANDING, ControlState.LANDED))
     wait_for(lambda: drone.sticks() == tuple(HOVER))
-    assert set(threading.enumerate()) <= before  # what others have left may end meanwhile
+    assert set(threading.enumerate()) <= before  # threads of earlier tests may end meanwhile
     thread.post(thread.link.take_off)  # too late, and harmless
     thread.stop()
 
@@ -110,7 +110,7 @@ def test_the_kernel_refuses_a_flood_of_strangers(drone, thread):
         for number in range(1, 501):
             stranger.sendto(b"noise", ("127.0.0.1", thread._navdata.getsockname()[1]))
             wait_for(lambda number=number: thread.foreign >= number)
-    assert thread.strangers.count < 100  # the rest was never read; some are, to be named
+    assert thread.strangers.count < 100  # the rest was never read; a few are read, to name their senders
     accepted = thread.link.accepted
     wait_for(lambda: thread.link.accepted > accepted + 5)
 

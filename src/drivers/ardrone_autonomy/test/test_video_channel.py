@@ -66,7 +66,7 @@ def test_after_two_orders_in_a_row_nobody_knows_until_they_have_settled(scene, c
     scene.order(BOTTOM)
     scene.order(FRONT)
     assert scene.show() == FRONT
-    for _ in range(changes):  # the aircraft may skip what is no longer asked for
+    for _ in range(changes):  # the aircraft may skip an outdated order
         scene.stream_id += 1
         assert scene.show(True) is None
     scene.now_s += SETTLE_S

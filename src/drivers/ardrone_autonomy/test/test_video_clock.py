@@ -19,8 +19,8 @@ class Flight:
         self.exposure_s = boot_s + first_s + np.arange(int(seconds / PERIOD_S)) * PERIOD_S
         self.timestamp_ms = np.floor((self.exposure_s - boot_s) * (1.0 + drift) * 1e3).astype(int) % 2**32
         free_s = self.exposure_s + LATENCY_S + rng.gamma(0.5, jitter_s, len(self.exposure_s))
-        free_s[::9] = self.exposure_s[::9] + LATENCY_S  # now and then nothing is in the way
-        for begin_s, length_s in stalls:  # everything that would come in the stall comes at its end
+        free_s[::9] = self.exposure_s[::9] + LATENCY_S  # every ninth picture arrives undelayed
+        for begin_s, length_s in stalls:  # pictures due during the stall arrive at its end
             begin_s += self.exposure_s[0]
             held_up = (free_s >= begin_s) & (free_s < begin_s + length_s)
             free_s[held_up] = begin_s + length_s
@@ -33,7 +33,7 @@ class Flight:
 def test_jitter_is_filtered_and_the_latency_taken_off():
     flight = Flight(60.0)
     plain_s = flight.received_s - LATENCY_S - flight.exposure_s
-    assert np.percentile(plain_s, 95) > 0.02  # what reception times would give
+    assert np.percentile(plain_s, 95) > 0.02  # the error of reception times alone
     error_s = flight.results(ExposureClock(LATENCY_S)) - flight.exposure_s
     assert np.abs(error_s[30:]).max() < 0.002
 
@@ -65,7 +65,7 @@ def test_a_computer_that_is_busy_for_seconds_moves_no_picture():
     flight.received_s = np.maximum.accumulate(flight.received_s)
     clock = ExposureClock(LATENCY_S)
     error_s = flight.results(clock) - flight.exposure_s
-    assert np.abs(error_s[30:]).max() < 0.006  # what the drift allows for in 15 s
+    assert np.abs(error_s[30:]).max() < 0.006  # the drift allowance for 15 s
     assert clock.restarts == 0
 
 
@@ -73,7 +73,7 @@ def test_joining_in_a_stall_corrects_itself():
     flight = Flight(10.0, stalls=[(0.0, 1.0)])
     clock = ExposureClock(LATENCY_S)
     error_s = flight.results(clock) - flight.exposure_s
-    assert error_s[0] > 0.5  # it cannot be known better
+    assert error_s[0] > 0.5  # unavoidable at the first picture
     assert np.abs(error_s[45:]).max() < 0.002
     assert clock.restarts == 0
 

@@ -58,7 +58,7 @@ class Bits:
 
 
 def without_vui(unit):
-    """The access unit with an SPS as short as the aircraft's, which says nothing about delay and order of pictures."""
+    """The access unit with an SPS as short as the aircraft's, without VUI (delay and order of pictures)."""
     (kind, _, end), *_ = nal_units(unit)
     assert kind == 7
     bits = Bits(unit[5:end].replace(b"\0\0\3", b"\0\0"))
@@ -228,7 +228,7 @@ def test_whatever_comes_nothing_raises_and_the_next_idr_is_shown(changes):
 
 
 def test_the_header_alone_decides_what_an_idr_is(packets):
-    """A P picture that calls itself an IDR gives no picture, and no crash."""
+    """A P picture whose header says IDR gives no picture and no crash."""
     decoder = PictureDecoder()
     liar = packets[3]._replace(header=packets[3].header._replace(frame_type=1))
     assert decoder.decode(liar) is None
@@ -236,7 +236,7 @@ def test_the_header_alone_decides_what_an_idr_is(packets):
 
 
 def test_the_test_pictures_have_no_cropping_of_their_own():
-    """Aircraft announce 640 x 368 in the SPS; otherwise the tests of cropping would test nothing."""
+    """Aircraft announce 640 x 368 in the SPS; so must these pictures, or the cropping tests would test nothing."""
     decoder = PictureDecoder()
     packet = packets_of(encoded()[:1], display_px=(640, 368))[0]
     assert decoder.decode(packet).shape == (368, 640, 3)

@@ -34,7 +34,7 @@ def quick(monkeypatch):
 
 @pytest.fixture
 def patient(monkeypatch):
-    """Every picture is shown, also when a busy computer reads many at once."""
+    """Show every picture, even if a busy computer reads many at once."""
     monkeypatch.setattr(video_stream, "MAX_BACKLOG", 1000)
 
 
@@ -44,7 +44,7 @@ def address():
 
 
 class Viewer:
-    """A VideoStream whose pictures and reports are kept."""
+    """A VideoStream; records its pictures and reports."""
 
     def __init__(self, address, wanted=True, **options):
         self.pictures = []
@@ -285,7 +285,7 @@ def test_a_switch_of_the_camera(address):
 
 
 class BurstServer:
-    """Sends what it is told, when it is told, to one client."""
+    """Sends given bytes on demand to one client."""
 
     def __init__(self, address):
         self._listener = socket.create_server((address, VIDEO_PORT))
@@ -390,7 +390,7 @@ def test_nothing_is_left_behind(address):
     with Viewer(address) as viewer:
         wait_for(lambda: viewer.texts("warn"))
     VideoStream(address, None, None).stop()  # never started
-    assert open_files() <= before and set(threading.enumerate()) <= threads  # what others have left may end meanwhile
+    assert open_files() <= before and set(threading.enumerate()) <= threads  # those of earlier tests may end meanwhile
 
 
 def test_stop_is_prompt_in_every_state(address, monkeypatch):

@@ -63,7 +63,7 @@ def make_thread(lab, parameters):
 
 @pytest.fixture
 def ignored(lab):
-    """Set of the configuration writes (key, text) that the vehicle ignores; ask for it before `thread`."""
+    """Set of configuration writes (key, text) that the vehicle ignores; request this fixture before `thread`."""
     configuration, ignored = lab.vehicle_hosts["risc1"].configuration, set()
     obey = configuration.write
 
@@ -110,7 +110,7 @@ def test_flight_emergency_and_lost_link(lab, ignored, thread):
     assert host.get("detect:enemy_colors") == 3
     assert host.configuration.current_ids == (SESSION, "cea48d22", "e182b69b")
     assert host.get("general:com_watchdog") == thread.link.lost_s == 1
-    # To delete profiles that there are not. How often: a driver that stood still meanwhile writes again
+    # They delete profiles that do not exist. A set, because a driver that stalled writes them again.
     assert ignored == {("custom:profile_id", "-" + USER_ID), ("custom:application_id", "-" + APPLICATION_ID)}
 
     thread.post(thread.link.take_off)
@@ -151,7 +151,7 @@ def test_flight_emergency_and_lost_link(lab, ignored, thread):
     assert host.statistics()["at_malformed"] == host.statistics()["at_unknown"] == 0
 
 
-# A driver that obeys orders on its standard input, and steers for ever. Arguments: address, whether it has a keeper
+# A driver that obeys orders on its standard input; "steer" never ends. Arguments: address, whether it has a keeper
 PILOT = """
 import sys, threading, time
 from ardrone_autonomy.keeper import Keeper
@@ -183,7 +183,7 @@ for line in sys.stdin:
 
 @pytest.fixture
 def pilot(lab):
-    """Function that starts a driver, and returns its process when its vehicle flies at 0.4 m/s and accelerates."""
+    """Function that starts a driver and returns its process once the vehicle exceeds 0.4 m/s, still accelerating."""
     started = []
 
     def start(kept=True):
@@ -215,7 +215,7 @@ def speed_m_s(lab):
 
 
 def speed_after(lab, duration_s):
-    """Of the vehicle, so much later in the lab's own time."""
+    """Speed of the vehicle [m/s] after duration_s of the lab's own time."""
     until_s = lab.world.time_s + duration_s
     wait_for(lambda: lab.world.time_s >= until_s)
     return speed_m_s(lab)
@@ -236,7 +236,7 @@ def test_without_a_keeper_it_flies_on_with_its_last_tilt(lab, pilot):
 
 
 def test_a_new_driver_keeps_a_vehicle_in_the_air(lab, pilot):
-    """That of one that was killed: it has no keeper, and the vehicle has hung in the air for longer than it may."""
+    """Its old driver, without a keeper, was killed; it then hovers longer than it would without a driver."""
     os.kill(pilot(kept=False).pid, signal.SIGKILL)
     host, vehicle = lab.vehicle_hosts["risc1"], lab.world.vehicles["risc1"]
     thread = make_thread(lab, {"outdoor": 1, "euler_angle_max": 0.3, "enemy_colors": 3})

@@ -55,7 +55,7 @@ class VideoTest(unittest.TestCase):
 
     @contextlib.contextmanager
     def lab(self, header_bytes=68, group=None, **params):
-        """An aircraft that films, a driver that is ready, and its messages in driver.received."""
+        """(Aircraft, its camera, driver that is ready); messages are in driver.received."""
         with ScriptedDrone() as drone:
             with ScriptedVideo(
                 drone.address, lambda: int(drone.configuration.get("video:video_channel")), header_bytes
@@ -68,7 +68,7 @@ class VideoTest(unittest.TestCase):
                     driver.end()
 
     def calibrate(self, path=None, focal_px=None, **changes):
-        """Write a calibration; its URL."""
+        """Write a calibration; return its URL."""
         path = path or self.home + "/front.yaml"
         calibration = replace(CALIBRATION, **changes)
         if focal_px is not None:
@@ -81,13 +81,13 @@ class VideoTest(unittest.TestCase):
             driver.listen(topic, Image if topic.endswith("image_raw") else CameraInfo)
 
     def more(self, driver, topic, count=5):
-        """The next messages of a topic."""
+        """Wait for the next messages of a topic; return them."""
         begin = len(driver.received[topic])
         wait_for(lambda: len(driver.received[topic]) >= begin + count, "%d messages on %s" % (count, topic))
         return driver.received[topic][begin:]
 
     def assert_camera(self, driver, topic, channel):
-        """The topic carries pictures of this camera, now or soon."""
+        """Wait until the topic carries pictures of this camera."""
         wait_for(
             lambda: driver.received[topic] and seen_channel(pixels(driver.newest(topic))) == channel,
             "channel %d on %s" % (channel, topic),
@@ -121,9 +121,9 @@ class VideoTest(unittest.TestCase):
                         {message.header.stamp for message in list(driver.received[topic])} for topic in pair
                     )
                     self.assertGreater(len(image_stamps & info_stamps), 10)
-                    begin = max(min(image_stamps), min(info_stamps))  # one was subscribed before the other
+                    begin = max(min(image_stamps), min(info_stamps))  # one subscription began before the other
                     only_one = {s for s in image_stamps ^ info_stamps if begin < s < late}
-                    self.assertLessEqual(len(only_one), 4)  # what a queue of the driver has lost
+                    self.assertLessEqual(len(only_one), 4)  # lost by a queue of the driver
                 info = driver.newest("ardrone/camera_info")
                 self.assertEqual((info.width, info.height, info.distortion_model), (640, 360, "plumb_bob"))
                 self.assertEqual(

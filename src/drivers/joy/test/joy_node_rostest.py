@@ -25,7 +25,7 @@ def record(value, kind, number):
 
 
 def status_is(level):
-    """Predicate: these diagnostics report this level of the joystick."""
+    """Predicate: diagnostics report this level for the joystick."""
 
     def fits(array):
         return any("Joystick Driver Status" in status.name and status.level == level for status in array.status)
@@ -34,7 +34,7 @@ def status_is(level):
 
 
 def hang(duration_s, meanwhile):
-    """Stop the node for a time (SIGSTOP), in which something else is done."""
+    """Stop the node for duration_s (SIGSTOP), and call meanwhile() while it is stopped."""
     pid = ServerProxy(rospy.get_master().lookupNode("/joy_node")[2]).getPid("/test")[2]
     os.kill(pid, signal.SIGSTOP)
     meanwhile()

@@ -1,4 +1,4 @@
-"""joy.device: what is not a joystick is tolerated; the rumble structures have the kernel's layout."""
+"""joy.device: devices other than joysticks are tolerated; rumble structures have the kernel's layout."""
 
 import os
 import struct

@@ -1,4 +1,4 @@
-"""The bridge's Autopilot and a scripted one, joined by bytes; time is simulated."""
+"""The bridge's Autopilot connected to a scripted autopilot by bytes; time is simulated."""
 
 import scripted_autopilot
 
@@ -7,17 +7,17 @@ from roscopter.options import Options
 
 
 class Bench:
-    """options: of Options.  vehicle: the scripted one; None: one that talks MAVLink of this version."""
+    """options: fields of Options.  vehicle: the scripted autopilot; None: a new one with this MAVLink version."""
 
     def __init__(self, version=2, vehicle=None, is_open=True, **options):
         self.vehicle = vehicle or scripted_autopilot.Autopilot(version=version)
         self._steps = 0
         self.reports = []  # (level, text)
-        self.messages = []  # for topics
+        self.messages = []  # to be published
         self.sent = bytearray()  # by the bridge, since the last step
-        self.packets = []  # by the bridge, ever: (time, bytes)
+        self.packets = []  # all sent by the bridge: (time, bytes)
         self.outcomes = []
-        self.noise = bytearray()  # comes to the bridge besides
+        self.noise = bytearray()  # extra bytes for the bridge to receive
         self.autopilot = Autopilot(Options(**options), self._write, lambda *report: self.reports.append(report))
         if is_open:
             self.autopilot.opened(self.now_s)
@@ -31,7 +31,7 @@ class Bench:
         self.sent += data
 
     def step(self):
-        """TICK_S goes by."""
+        """Advance the time by TICK_S."""
         self._steps += 1
         data, self.sent = bytes(self.sent), bytearray()
         self.vehicle.receive(data, self.now_s)
@@ -48,7 +48,7 @@ class Bench:
         return self
 
     def until(self, condition, limit_s=60.0):
-        """Until it holds; how long it took [s]."""
+        """Step until the condition holds. Returns the time it took [s]."""
         begin_s = self.now_s
         while not condition():
             assert self.now_s - begin_s < limit_s, "not within %g s; reports: %s" % (limit_s, self.reports[-5:])
@@ -60,7 +60,7 @@ class Bench:
         return self
 
     def order(self, order, limit_s=60.0):
-        """Carry it out: its Outcome."""
+        """Carry out an order; return its Outcome."""
         outcomes = []
         self.autopilot.begin(order, outcomes.append, self.now_s)
         self.until(lambda: outcomes, limit_s)

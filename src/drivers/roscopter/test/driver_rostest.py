@@ -90,7 +90,7 @@ class DriverTest(unittest.TestCase):
             self.check_rate(driver, "status", least_hz=2.0)
 
     def check_rate(self, driver, topic, least_hz):
-        """By the stamps, between messages that have come: what this computer's load delays is not lost."""
+        """Check the rate by the stamps of received messages: a busy computer delays them but loses none."""
         messages = driver.received[topic]
         wait_for(lambda: len(messages) > 30, "30 messages on " + topic)
         span_s = (messages[-1].header.stamp - messages[0].header.stamp).to_sec()
@@ -121,7 +121,7 @@ class DriverTest(unittest.TestCase):
             self.assertFalse(vehicle.is_armed)
             self.assertTrue(driver.command(APMCommandRequest.CMD_LAUNCH))
             self.assertEqual((vehicle.mode, vehicle.is_armed), (4, True))
-            self.assertFalse(driver.command(APMCommandRequest.CMD_SET_MANUAL))  # a copter has none
+            self.assertFalse(driver.command(APMCommandRequest.CMD_SET_MANUAL))  # a copter has no such mode
             self.assertFalse(driver.command(99))
             vehicle.answers[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = mavlink.MAV_RESULT_FAILED
             vehicle.explanation = [(4, b"PreArm: Check Board Voltage")]
@@ -162,7 +162,7 @@ class DriverTest(unittest.TestCase):
         with lab() as (vehicle, driver):
             for _ in range(20):
                 driver.publish("send_rc", msg.RC(STICKS))
-            self.assertTrue(driver.command(APMCommandRequest.CMD_ARM))  # what was sent before it has come
+            self.assertTrue(driver.command(APMCommandRequest.CMD_ARM))  # all that was sent before has arrived
             self.assertTrue(driver.command(APMCommandRequest.RETURN_RC_CONTROL))
             self.assertEqual(vehicle.named("RC_CHANNELS_OVERRIDE"), [])
         with lab("--enable-rc-control=true") as (vehicle, driver):
@@ -231,14 +231,14 @@ class DriverTest(unittest.TestCase):
                 wait_for(lambda: self.has(log, driver, Log.ERROR, "no word from the autopilot"), "the loss")  # noqa: B023
                 count = len(status)
                 self.assertFalse(driver.command(APMCommandRequest.CMD_SET_LAND))
-                self.assertEqual(len(status), count)  # nothing old is published again
-                self.assertEqual(vehicle.mode, 9)  # but the order has been sent
+                self.assertEqual(len(status), count)  # no old status is published again
+                self.assertEqual(vehicle.mode, 9)  # but the order was sent
                 vehicle.is_silent = False
                 vehicle.reboot()
                 wait_for(lambda status=status, count=count: len(status) > count + 5, "the battery again")
 
     def test_damaged_bytes_change_no_value(self):
-        """One byte in 100 is damaged: what comes is right, and something comes all the time."""
+        """One byte in 100 is damaged: received values are correct, and messages keep coming."""
         numbers = random.Random(5)
 
         def spoil(data):

@@ -1,6 +1,6 @@
-"""An autopilot written with pymavlink, as far as the bridge can see one; it flies nothing.
+"""An autopilot written with pymavlink: only the behaviour that the bridge can see, no flight dynamics.
 
-`Autopilot` is bytes in, bytes out, by a clock that is told to it. `Running` puts one on a socket or a pseudo terminal.
+`Autopilot` is bytes in, bytes out, with the time passed in. `Running` puts one on a socket or a pseudo terminal.
 """
 
 import contextlib
@@ -13,11 +13,11 @@ import time
 from pymavlink.dialects.v10 import ardupilotmega as version_1
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-GCS = 255  # whose orders count
+GCS = 255  # system id whose orders are obeyed
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-OVERRIDE_S = 3.0  # for how long an override counts
+OVERRIDE_S = 3.0  # how long an override is in force
 RADIO_US = (1500, 1500, 1000, 1500, 1000, 1000, 1500, 1500)  # what the pilot's own radio sends
-STREAMS = {  # what comes with a stream
+STREAMS = {  # messages of each stream
     mavlink.MAV_DATA_STREAM_RAW_SENSORS: ("raw_imu",),
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
         *("sys_status", "mission_current", "gps_raw_int", "nav_controller_output"),
@@ -30,7 +30,7 @@ STREAMS = {  # what comes with a stream
 TIMES = {  # fields that are the time since the start [ms]
     **dict.fromkeys(("rc_channels", "rc_channels_raw", "global_position_int", "attitude"), ("time_boot_ms",)),
 }
-TELEMETRY = {  # the other fields, but for the first eight channels
+TELEMETRY = {  # the other fields, except the first eight channels
     "raw_imu": {
         "time_usec": 123456789,
         "xacc": 1,
@@ -92,26 +92,26 @@ TELEMETRY = {  # the other fields, but for the first eight channels
 
 
 class Autopilot:
-    """version: of MAVLink.  Attributes that tests set: see __init__."""
+    """version: of MAVLink.  Tests set the attributes in __init__."""
 
     def __init__(self, version=2, system=1, heartbeat_s=1.0):
         self.version, self.system, self.heartbeat_s = version, system, heartbeat_s
         self.is_silent = False  # sends nothing
         self.is_deaf = False  # hears nothing
-        self.ignores = 0  # as many of the next orders are lost
-        self.answers = {}  # {number of a command: its result}; 11 for SET_MODE
+        self.ignores = 0  # number of next orders that are lost
+        self.answers = {}  # {command number: result}; 11 stands for SET_MODE
         self.no_answers = False  # COMMAND_ACK is lost
-        self.explanation = ()  # (severity, text) that follow an answer
+        self.explanation = ()  # (severity, text) of messages that follow an answer
         self.obeys_disarm = True
         self.mode, self.is_armed = 0, False
         self.radio_us = list(RADIO_US)
-        self.fields = {}  # {name of a message: fields that differ}
-        self.slow = ()  # names of messages that never come
-        self.heard = []  # messages for us, newest last
-        self.beats = []  # when a ground station's heartbeat came
-        self.mission = None  # list of items, once one was sent
+        self.fields = {}  # {message name: fields to change}
+        self.slow = ()  # names of messages that are never sent
+        self.heard = []  # messages addressed to it, newest last
+        self.beats = []  # times of ground stations' heartbeats
+        self.mission = None  # list of items, once one was received
         self.missions_cleared = 0
-        self.forgets = 0  # as many of the next items and counts of a mission are lost
+        self.forgets = 0  # number of next mission items and counts that are lost
         self.asks_int = True
         self._expected, self._items = 0, None
         self.override = {}  # {channel from 0: (us, until)}
@@ -129,7 +129,7 @@ class Autopilot:
         self._out += data
 
     def send(self, name, **fields):
-        """A message, whatever it is."""
+        """Send any message."""
         fields.update(self.fields.get(name, {}))
         self._encoder.send(getattr(self._dialect, "MAVLink_%s_message" % name)(**fields))
 
@@ -149,7 +149,7 @@ class Autopilot:
                 self._obey(message)
 
     def named(self, name):
-        """Messages of a type that were heard."""
+        """Received messages of a type."""
         return [message for message in self.heard if message.get_type() == name]
 
     # --- time
@@ -159,7 +159,7 @@ class Autopilot:
     def advance(self, now_s):
         self._now_s = now_s
         if self._boot_s is None:
-            self._boot_s = now_s - 100.0  # it has been on for a while
+            self._boot_s = now_s - 100.0  # it was switched on 100 s ago
         if now_s >= self._beat_s + self.heartbeat_s:
             self._beat_s = now_s
             self.beat()
@@ -182,7 +182,7 @@ class Autopilot:
         )
 
     def channels_us(self):
-        """As they are in force: an override as long as it counts, else the pilot's radio."""
+        """Channels in force [us]: an override until it expires, otherwise the pilot's radio."""
         values = list(self.radio_us)
         for channel, (value, until_s) in self.override.items():
             if self._now_s < until_s:
@@ -190,7 +190,7 @@ class Autopilot:
         return values
 
     def tell(self, name):
-        """Telemetry, with values that tests know."""
+        """Send telemetry with values that tests know."""
         boot_ms = int((self._now_s - self._boot_s) * 1000)
         channels = {"chan%d_raw" % (k + 1): value for k, value in enumerate(self.channels_us())}
         values = {
@@ -230,7 +230,7 @@ class Autopilot:
             self.is_armed = False
 
     def _answer(self, command):
-        """Whether the answer is yes."""
+        """Answer a command. Returns whether it is accepted."""
         result = self.answers.get(command, mavlink.MAV_RESULT_ACCEPTED)
         if not self.no_answers:
             self.send("command_ack", command=command, result=result)
@@ -300,8 +300,8 @@ class _Udp:
 
 class _Pty:
     def __init__(self, path):
-        """path: of a symbolic link to it, as a serial device keeps its name."""
-        self.master, self.slave = os.openpty()  # the slave stays open: the device is there while nobody else has it
+        """path: of a symbolic link to the terminal, so that the name stays, as with a serial device."""
+        self.master, self.slave = os.openpty()  # kept open: the device exists even while nobody uses it
         self.path = str(path)
         with contextlib.suppress(FileNotFoundError):
             os.unlink(path)
@@ -328,11 +328,11 @@ class _Pty:
 
 
 class Running(Autopilot):
-    """One in a thread, on UDP at an address, or on a pseudo terminal at a path: `device` is what the driver is told."""
+    """An Autopilot in a thread, on a UDP address or a pseudo terminal's path. `device`: the driver's argument."""
 
     def __init__(self, where, **options):
         super().__init__(**options)
-        self.spoils = None  # function of bytes before they are sent
+        self.spoils = None  # function that damages bytes before they are sent
         is_udp = isinstance(where, tuple)
         self._line = _Udp(where) if is_udp else _Pty(where)
         self.device = "udpout:%s:%d" % self._line.socket.getsockname() if is_udp else self._line.path

@@ -1,4 +1,4 @@
-"""The link to an autopilot with simulated time: whom it listens to, what it sends when, loss and return."""
+"""The link to an autopilot in simulated time: which senders it accepts, what it sends when, loss and return."""
 
 import random
 
@@ -72,7 +72,7 @@ def test_a_stream_that_stays_away_is_asked_for_again_and_the_others_are_not(vers
     assert asked == set(scripted_autopilot.STREAMS)
     bench.vehicle.heard.clear()
     bench.run(20.0)
-    assert bench.vehicle.named("REQUEST_DATA_STREAM") == []  # all come
+    assert bench.vehicle.named("REQUEST_DATA_STREAM") == []  # all streams arrive
     del bench.vehicle._rates[mavlink.MAV_DATA_STREAM_EXTRA1]
     bench.run(10.0)
     again = [message.req_stream_id for message in bench.vehicle.named("REQUEST_DATA_STREAM")]
@@ -263,7 +263,7 @@ def send_for(bench, seconds, sticks=STICKS):
 
 
 def test_nothing_is_overridden_unless_that_is_enabled(version):
-    """Control arm: the same with the option on, below."""
+    """Control arm: the tests below, with the option on."""
     bench = Bench(version).connect()
     send_for(bench, 2.0)
     bench.autopilot.release(bench.now_s)
@@ -536,7 +536,7 @@ def test_an_emergency_stop_goes_to_a_vehicle_that_is_silent():
 
 @pytest.mark.parametrize("dialect", [version_1, mavlink])
 def test_damaged_bytes_never_become_a_message(dialect, inputs):
-    """Of the messages that come out each was sent: no wrong battery, no wrong mode."""
+    """Every message that is decoded was sent: no wrong battery, no wrong mode."""
     numbers = random.Random(3)
     bench = Bench(1 if dialect is version_1 else 2).connect().run(3.0)
     packer = dialect.MAVLink(None, 1, 1)

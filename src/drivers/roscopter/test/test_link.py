@@ -1,4 +1,4 @@
-"""The thread and real devices, without ROS: pseudo terminals, UDP, TCP; gone and back."""
+"""The thread on real devices, without ROS: pseudo terminals, UDP, TCP; loss and return."""
 
 import errno
 import os
@@ -32,7 +32,7 @@ def wait_for(condition, what):
 
 
 class Driver:
-    """A Link, and what it has told."""
+    """A Link; records its reports and messages."""
 
     def __init__(self, device, **options):
         self.reports, self.messages, self.failures = [], [], []
@@ -55,7 +55,7 @@ class Driver:
         return [text for each, text in self.reports if each == level]
 
     def hears(self):
-        """Wait for telemetry that is new."""
+        """Wait for new telemetry."""
         before = len(self.messages)
         wait_for(lambda: "ATTITUDE" in {message.get_type() for message in self.messages[before:]}, "telemetry")
 
@@ -146,7 +146,7 @@ def test_one_that_listens_answers_the_vehicle_and_nobody_else():
 
 
 def frames(system, roll_rad=0.0):
-    """Of a vehicle that is there: heartbeat and attitude."""
+    """Heartbeat and attitude of a vehicle."""
     packer = mavlink.MAVLink(None, system, 1)
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
     attitude = mavlink.MAVLink_attitude_message(0, roll_rad, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -155,7 +155,7 @@ def frames(system, roll_rad=0.0):
 
 @pytest.fixture
 def network():
-    """Sockets of the vehicle and of a stranger, each with an address of its own, and a free port of ours."""
+    """(Socket of the vehicle, socket of a stranger with another address, free address for the link)."""
     net = "127.%d.%d." % (64 + os.getpid() % 128, os.getpid() // 128 % 256)
     vehicle, stranger, ours = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3))
     with vehicle, stranger:
@@ -168,7 +168,7 @@ def network():
 
 
 def deceive(network, device):
-    """The Driver that a vehicle speaks to, and a stranger who says that he is this vehicle, and rolls."""
+    """A Driver that heard a vehicle, and a stranger that claims to be this vehicle and reports a roll angle."""
     vehicle, stranger, address = network
     with Driver(device) as driver:
         wait_for(lambda: driver.link.autopilot.is_open, "the device")
@@ -178,7 +178,7 @@ def deceive(network, device):
             for _ in range(100):
                 stranger.sendto(frames(1, roll_rad=1.0), address)
         received = driver.link.counts["received bytes"]
-        vehicle.sendto(frames(1), address)  # which comes behind all that the stranger has sent
+        vehicle.sendto(frames(1), address)  # arrives after all that the stranger sent
         wait_for(lambda: driver.link.counts["received bytes"] > received, "the vehicle")
     return driver
 
@@ -237,7 +237,7 @@ def test_tcp_that_is_closed_and_comes_again():
 
 
 def test_a_server_that_hangs_up_at_once_is_one_line():
-    """As one that serves a single client, who is another."""
+    """As a server does that serves one client at a time, and has one already."""
     with socket.create_server((HOST, 0)) as server:
         server.settimeout(LIMIT_S)
         with Driver("tcp:%s:%d" % server.getsockname()) as driver:
@@ -259,8 +259,8 @@ def test_a_device_that_is_forbidden_says_what_to_do(serial, monkeypatch):
 
 
 def test_a_line_that_takes_nothing_does_not_stop_what_comes(serial):
-    """A serial line holds a few kilobytes; what it does not take is lost, telemetry goes on, and no half of a message
-    is on the line when it takes more.
+    """A serial line buffers a few kilobytes. What it does not take is lost, telemetry goes on, and no partial message
+    is on the line when it takes bytes again.
     """
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -306,7 +306,7 @@ def test_channels_are_given_back_when_it_ends(where):
 
 
 def test_damaged_bytes_cost_only_their_own_messages(where):
-    """One byte in 100 is damaged; what comes is right, and something comes all the time."""
+    """One byte in 100 is damaged; received values are correct, and messages keep coming."""
     numbers = random.Random(5)
 
     def spoil(data):
@@ -325,7 +325,7 @@ def test_damaged_bytes_cost_only_their_own_messages(where):
 
 
 def test_what_is_posted_is_done_while_bytes_rain():
-    """The thread that reads never lets an order wait: 2000 datagrams of garbage a second."""
+    """Reading 2000 garbage datagrams per second must not delay an order."""
     with Running((HOST, 0)) as vehicle, Driver(vehicle.device) as driver:
         driver.hears()
         over = threading.Event()

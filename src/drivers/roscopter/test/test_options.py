@@ -1,4 +1,4 @@
-"""Command lines as launch files have them."""
+"""Command lines as launch files give them."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def test_the_laboratorys_launch_line():
 @pytest.mark.parametrize("text, value", [("true", True), ("True", True), ("1", True), ("on", True), ("false", False),
                                          ("False", False), ("0", False), ("no", False)])  # fmt: skip
 def test_truth_is_read_as_it_is_meant(text, value):
-    """The original took every text that is not empty, "false" as well, for true."""
+    """The original took every non-empty text for true, even "false"."""
     assert driver_options(["--enable-rc-control", text])[0].enable_rc_control is value
 
 

@@ -31,7 +31,7 @@ def test_a_refusal_says_what_the_autopilot_says(bench):
     assert not outcome.is_done
     assert "FAILED" in outcome.why and "PreArm: RC not calibrated" in outcome.why
     assert "barometer" not in outcome.why
-    assert any("PreArm" in text for text in bench.said("warn"))  # and it is on rosout with its severity
+    assert any("PreArm" in text for text in bench.said("warn"))  # it is also on rosout, with its severity
 
 
 @pytest.mark.parametrize("lost", [1, 3])
@@ -59,7 +59,7 @@ def test_yes_without_deeds_is_no_success(bench):
     bench.vehicle.is_armed = True
     outcome = bench.order(orders.Arm(False, 3.0))
     assert not outcome.is_done and " yes" in outcome.why
-    assert len(bench.vehicle.named("COMMAND_LONG")) == 1  # it has said yes: it is not asked again
+    assert len(bench.vehicle.named("COMMAND_LONG")) == 1  # it was accepted, so it is not sent again
 
 
 def test_an_order_in_progress_waits(bench):
@@ -107,7 +107,7 @@ def test_a_mode_is_seen_in_the_heartbeat(bench, number, name):
 
 
 def test_the_mode_timeout_of_a_second_leaves_time_for_a_heartbeat_a_second():
-    """The original's default failed whenever the heartbeat came just before."""
+    """The original's default failed whenever a heartbeat came just before the order."""
     bench = Bench().connect()
     bench.vehicle.ignores = 1
     assert bench.order(orders.SetMode("LAND", 9, 1.0)).is_done
@@ -157,7 +157,7 @@ def test_an_order_to_nobody_fails_at_once():
 
 
 def test_an_order_goes_out_to_an_autopilot_that_has_fallen_silent():
-    """Its radio may still hear: landing blind is better than not trying."""
+    """It may still receive: landing without telemetry is better than not trying."""
     bench = Bench().connect()
     bench.vehicle.is_silent = True
     bench.until(lambda: not bench.autopilot.is_connected)

@@ -1,4 +1,4 @@
-"""Frames of MAVLink 1 and 2: what pymavlink makes comes out, whatever stands between."""
+"""Frames of MAVLink 1 and 2 by pymavlink are read, whatever bytes are between them."""
 
 import random
 
@@ -56,7 +56,7 @@ def test_values_are_those_of_the_message(version):
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_no_sound_frame_is_lost_with_a_damaged_one(version):
-    """Each byte of one frame in turn is damaged: the others come out, once what it promised has come or has not."""
+    """Each byte of one frame in turn is damaged: all others are read, once its claimed length has come or timed out."""
     sent = frames(version, 30)
     whole = len(sent[10])
     for place in range(whole):
@@ -68,7 +68,7 @@ def test_no_sound_frame_is_lost_with_a_damaged_one(version):
 
 
 def test_pymavlinks_own_parser_loses_sound_frames_with_a_damaged_length():
-    """Why FrameReader is there: when this fails, it can go."""
+    """The reason for FrameReader: if this test fails, it is no longer needed."""
     sent = frames(2, 30)
     damaged = bytearray(sent[10])
     damaged[1] ^= 0xFF
@@ -79,14 +79,14 @@ def test_pymavlinks_own_parser_loses_sound_frames_with_a_damaged_length():
 
 
 def test_a_slow_link_goes_on_soon_after_a_false_beginning():
-    """A byte that looks like the beginning of a long frame holds a heartbeat a second up once, not for 280 bytes."""
+    """A false start of a long frame must not hold up 1 Hz heartbeats until 280 bytes have come."""
     (beat,) = frames(1, 2)[1:]
     reader = FrameReader()
     assert reader.feed(bytes([0xFD, 255, 0, 0, 0, 1, 1, 30, 0, 0]), 0.0) == []
     assert [len(reader.feed(beat, float(k))) for k in (1, 2)] == [1, 1]
     impatient = FrameReader()
     impatient.feed(bytes([0xFD, 255, 0, 0, 0, 1, 1, 30, 0, 0]), 0.0)
-    assert impatient.feed(beat, PATIENCE_S / 2) == []  # the control arm: without patience running out, nothing
+    assert impatient.feed(beat, PATIENCE_S / 2) == []  # the control arm: nothing before PATIENCE_S
 
 
 def test_unknown_messages_and_flags_are_passed_over():
@@ -111,13 +111,13 @@ def test_a_signed_frame_is_read():
 
 @given(st.lists(st.binary(max_size=80), max_size=12), st.integers(0, 10_000), st.sampled_from([1, 2]))
 def test_no_garbage_stops_it(pieces, seed, version):
-    """Whatever comes between, most frames are found, and each that comes out is one that was sent."""
+    """Whatever bytes come between, all frames are found, in order."""
     sent = frames(version, 24, seed)
     reader, found = FrameReader(), []
     for k, frame in enumerate(sent):
         found += reader.feed((pieces[k] if k < len(pieces) else b"") + frame, float(k))
     found += reader.feed(b"", 100.0)
-    for k in range(300):  # what a false beginning has held up
+    for k in range(300):  # frames that a false start has delayed
         found += reader.feed(b"", 101.0 + k)
     assert [bytes(message.get_msgbuf()) for message in found if bytes(message.get_msgbuf()) in sent] == sent
 

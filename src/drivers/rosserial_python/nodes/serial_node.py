@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""serial_node: the topics of a micro-controller that speaks rosserial, see the README of the package."""
+"""serial_node: the topics of a microcontroller that uses rosserial, see the README of the package."""
 
 from risc_lab.ros import low_latency
 from risc_lab.ros.node import run

@@ -25,15 +25,15 @@ from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmRec
 
 STEP_S = 0.001
 LEVEL, LOWEST = 1500, 1000  # [us]
-JUMP_US = 125  # what the firmware believes without a second message
+JUMP_US = 125  # largest change that the firmware accepts without a second message
 
 
 class BoardOnTerminal:
-    """The firmware in real time; what the line makes of bytes is up to the test."""
+    """The firmware in real time; the test may alter the bytes on the line (to_board, to_host)."""
 
     def __init__(self, end):
         self.to_board = self.to_host = lambda data: data
-        self.channels_us = set()  # all that were in a frame of the signal since it was cleared
+        self.channels_us = set()  # of all frames of the signal since the test cleared it
         self.newest_us = ()
         self._end, self._board, self._receiver = end, Board(), PpmReceiver()
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -42,7 +42,7 @@ class BoardOnTerminal:
 
     @property
     def refused_frames(self):
-        """{reason: count} of what is no good signal; there is no gap before the first frame."""
+        """{reason: count} of bad frames. Ignores "no gap before", which the first frame always causes."""
         return {reason: n for reason, n in self._receiver.counts.items() if reason not in ("frames", "no gap before")}
 
     def plug(self, end):
@@ -113,11 +113,11 @@ class FirmwareTest(unittest.TestCase):
             self.fly(roll, throttle)
         self.assertEqual(self.node.status and self.node.links[-1].refused_topics, [])
         self.assertEqual(self.board.refused_frames, {})
-        # a newer status comes every 0.1 s, on a busy computer not always in time
+        # a status comes every 0.1 s, later on a busy computer
         wait_for(lambda: abs((self.status[-1].header.stamp - rospy.Time.now()).to_sec()) < 0.1, "the board's time")
 
     def test_noise_and_loss_on_the_line(self):
-        """Commands go on, whatever comes of them; the signal shows none that was not given, and works afterwards."""
+        """Commands over a noisy line: the signal shows no other command, and works afterwards."""
         rng = random.Random(2)
         self.fly(0.1)
         self.board.channels_us.clear()
@@ -131,7 +131,7 @@ class FirmwareTest(unittest.TestCase):
 
         def damaged():
             self.publisher.publish(message(0.1))
-            time.sleep(0.01)  # the pace of the commands
+            time.sleep(0.01)  # period of the commands
             return self.status[-1].damaged_packets > before + 30 and self.node.counter("damaged") > 5
 
         wait_for(damaged, "damage at both ends")

@@ -7,7 +7,7 @@ from rosgraph_msgs.msg import Log
 from risc_lab.ros.testing import NodeProcess, wait_for
 from risc_maap_msgs.msg import SerialLink
 
-LATE_S = 0.15  # by which the median of several losses may be noticed late: a busy computer runs other programs first
+LATE_S = 0.15  # allowed delay of noticing a loss, as the median of several: a busy computer runs other programs first
 
 
 class Node(NodeProcess):
@@ -33,7 +33,7 @@ class Node(NodeProcess):
         self.status += [status for status in message.status if status.name.startswith(self.name.lstrip("/") + ":")]
 
     def wait_state(self, state, cause=None):
-        """Until the newest state is this one; returns the message."""
+        """Wait until the newest state is this one; return the message."""
         wait_for(
             lambda: self.links and self.links[-1].state == state and cause in (None, self.links[-1].cause),
             "state %s with cause %s, found %s" % (state, cause, self.links[-1:]),
@@ -41,7 +41,7 @@ class Node(NodeProcess):
         return self.links[-1]
 
     def loss(self, cut):
-        """The first message that says that the link is lost, after `cut()`."""
+        """Call cut(); return the first message that reports the loss of the link."""
         before = len(self.links)
         cut()
         wait_for(lambda: any(link.state == SerialLink.WAITING for link in self.links[before:]), "the loss")

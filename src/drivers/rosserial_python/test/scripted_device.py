@@ -1,4 +1,4 @@
-"""A board with a rosserial sketch, as far as its line can see: on a pseudo-terminal or a TCP connection."""
+"""A board with a rosserial sketch, as seen on its line: a pseudo-terminal or a TCP connection."""
 
 import contextlib
 import io
@@ -23,7 +23,7 @@ def serialised(message):
 
 
 def topic_of(topic_id, name, kind, md5sum=None, half=None):
-    """Topic of a message class; half of a service class: "_request_class" or "_response_class"."""
+    """Topic of a message class, or of one half of a service class: "_request_class" or "_response_class"."""
     message_class = getattr(kind, half) if half else kind
     return Topic(topic_id, name, kind._type, md5sum or message_class._md5sum, BUFFER_BYTES)
 
@@ -42,7 +42,7 @@ class PseudoTerminal:
         self._ends = None
 
     def plug_in(self):
-        """A new pseudo-terminal at the path. Returns the board's end."""
+        """Make a new pseudo-terminal at the path. Returns the board's end."""
         ours, theirs = os.openpty()
         tty.setraw(theirs)
         os.set_blocking(ours, False)
@@ -64,21 +64,21 @@ class PseudoTerminal:
 
 
 class Board:
-    """Runs a sketch in a thread. `plug(fd)`: its end of the line, which has to be non-blocking; None: unplugged.
+    """Runs a sketch in a thread. `plug(fd)`: connect its end of the line (non-blocking); None: unplug it.
 
-    publishes, subscribes: {id of the protocol: [Topic]} of what it announces.
+    announced: {protocol id, e.g. Id.PUBLISHER: [Topic]}.
     """
 
     def __init__(self, announced, period_s=0.1, beat=b""):
-        """beat: packet that it sends every period_s once it is asked for its topics; as a sketch that publishes."""
+        """beat: packet that it sends every period_s once its topics were requested, as a sketch that publishes."""
         self.announced, self._period_s, self.beat = announced, period_s, beat
-        self.received = []  # (monotonic time, Packet) but for requests of topics
-        self.requests = 0  # for topics
+        self.received = []  # (monotonic time, Packet), without topic requests
+        self.requests = 0  # topic requests
         self.is_configured = False
-        self.is_silent = False  # it hears and says nothing: power off
-        self.is_stalled = False  # it reads nothing; what comes waits in the line
+        self.is_silent = False  # neither receives nor sends: power off
+        self.is_stalled = False  # reads nothing; bytes wait in the line's buffer
         self.on_packet = lambda packet: b""  # bytes that answer a packet
-        self.damage = lambda data: data  # what the line makes of what it sends
+        self.damage = lambda data: data  # changes by the line to what it sends
         self._lock, self._over, self._end = threading.RLock(), threading.Event(), None
         self._decoder = Decoder()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -89,20 +89,20 @@ class Board:
             self._end, self._decoder = end, Decoder()
 
     def reset(self):
-        """The button."""
+        """Press the reset button."""
         with self._lock:
             self.is_configured = False
             self._decoder = Decoder()
 
     def send(self, data):
-        """Bytes onto the line, as they are."""
+        """Write bytes to the line unchanged."""
         with self._lock:
             if self._end is not None and not self.is_silent:
                 with contextlib.suppress(OSError):  # the host has closed the line
                     os.write(self._end, data)
 
     def of_topic(self, topic_id):
-        """Payloads that came on a topic."""
+        """Payloads received on a topic."""
         return [packet.payload for _, packet in list(self.received) if packet.topic_id == topic_id]
 
     def stop(self):
@@ -154,7 +154,7 @@ class Board:
 
 
 class Listener:
-    """A board with a network: it listens, and serves who connected last."""
+    """A board with a network: listens, and serves the newest connection."""
 
     def __init__(self, board):
         self._board, self._connection = board, None

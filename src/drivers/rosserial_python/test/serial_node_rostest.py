@@ -47,13 +47,13 @@ def commands(number, vehicles=1, stamp=None):
 
 
 def reasons(status):
-    """Those of refused topics in a DiagnosticStatus."""
+    """Reasons for refused topics in a DiagnosticStatus."""
     return [item.value for item in status.values if item.key.startswith("refused ") and item.value]
 
 
 @contextlib.contextmanager
 def scene(is_network=False, topics=TOPICS, beat=BEAT, ready=True, **params):
-    """(board, its port, node) on a pseudo-terminal, or on a network."""
+    """(board, its port, node) on a pseudo-terminal or over TCP."""
     with tempfile.TemporaryDirectory() as folder, Board(topics, beat=beat) as board:
         if is_network:
             port = Listener(board)
@@ -73,7 +73,7 @@ def scene(is_network=False, topics=TOPICS, beat=BEAT, ready=True, **params):
 
 
 def works(board, node, number=1.0):
-    """Commands reach the board and its status the graph, from now on."""
+    """Wait until commands reach the board, and its status the ROS graph."""
     heard, publisher = node.listen("board_status", UInt32), node.publisher("controls", Controls)
     before = len(board.of_topic(CONTROLS))
 
@@ -85,7 +85,7 @@ def works(board, node, number=1.0):
 
 
 def connected(port):
-    """A connection to a node that is about to listen."""
+    """Connect to a node that is about to listen."""
     made = []
 
     def attempt():
@@ -104,7 +104,7 @@ class SerialNodeTest(unittest.TestCase):
             with scene(is_network) as (board, _, node):
                 heard, publisher = node.listen("board_status", UInt32), node.publisher("controls", Controls)
                 message = commands(0.25)
-                message.header.stamp = rospy.Time()  # a slow computer makes it no older
+                message.header.stamp = rospy.Time()  # without a stamp it cannot become too old on a slow computer
                 publisher.publish(message)
                 wait_for(lambda b=board, h=heard: b.of_topic(CONTROLS) and h, "messages in both directions")
                 self.assertEqual(board.of_topic(CONTROLS), [serialised(message)])
@@ -157,7 +157,7 @@ class SerialNodeTest(unittest.TestCase):
             wait_for(lambda: node.links[-1].counters and node.counter("damaged") > 50, "damage to be counted")
             board.damage = lambda data: data
             works(board, node)
-            # an 8-bit sum lets some damage pass; what it looks like is a UInt32, or it is refused
+            # an 8-bit sum lets some damage pass: that is a valid UInt32, or it is refused
             self.assertLess(sum(m.data != 7 for m in heard), 10)
             node.wait_state(SerialLink.UP)
 
@@ -190,7 +190,7 @@ class SerialNodeTest(unittest.TestCase):
         print("noticed after %s s" % np.round(ages_s, 3))
         self.assertGreaterEqual(min(ages_s), 0.3)
         self.assertLess(np.median(ages_s), 0.3 + LATE_S)
-        with scene(silence=0.5) as (board, _, node):  # the control arm: who notices it later is found
+        with scene(silence=0.5) as (board, _, node):  # the control arm: a later detection is measured as such
             self.assertGreater(node.loss(lambda: setattr(board, "is_silent", True)).age_s, 0.3 + LATE_S)
 
     def test_a_reset_board_is_asked_for_its_topics(self):
@@ -226,7 +226,7 @@ class SerialNodeTest(unittest.TestCase):
     def test_the_path_leads_to_another_device_while_the_old_one_is_still_open(self):
         with scene() as (board, port, node):
             works(board, node)
-            old = port._ends  # the old line is never hung up, it is only silent
+            old = port._ends  # the old line is silent, but never hung up
             board.plug(port.plug_in())
             board.reset()
             wait_for(lambda: board.is_configured, "the node to open the new device")
@@ -244,9 +244,9 @@ class SerialNodeTest(unittest.TestCase):
                 wait_for(lambda c=connection: port._connection is not c and board.is_configured, "the next connection")
 
     def test_after_a_stall_no_old_command_comes(self):
-        """The board stops to read, at 200 commands a second, and begins again when the link has been lost for 1 s.
+        """The board stops reading, at 200 commands a second, and resumes when the link has been lost for 1 s.
 
-        What the line's buffer took before the loss was noticed comes late, what was published later does not.
+        Commands that the line's buffer took before the loss was noticed come late; later ones do not come.
         """
 
         def old_ones(**params):
@@ -296,12 +296,12 @@ class SerialNodeTest(unittest.TestCase):
         with scene() as (board, _, node):
             publisher = node.publisher("controls", Controls)
             works(board, node)
-            passed = Controls(Header(), commands(4.0).Obj)  # without a stamp: never late, and behind those of `works`
+            passed = Controls(Header(), commands(4.0).Obj)  # without a stamp: never late; sent after those of `works`
             publisher.publish(passed)
             wait_for(lambda: serialised(passed) in board.of_topic(CONTROLS), "one without a stamp")
             reports = len(node.links)
             wait_for(lambda: len(node.links) >= reports + 2, "a report that counts those of `works`")
-            before = node.counter("late")  # some, on a busy computer
+            before = node.counter("late")  # may be above 0 on a busy computer
             old = commands(5.0, stamp=rospy.Time.now() - rospy.Duration(2.0))
             publisher.publish(old)
             wait_for(lambda: node.counter("late") == before + 1, "a report")
@@ -381,7 +381,7 @@ class SerialNodeTest(unittest.TestCase):
                 node.wait_state(SerialLink.WAITING, cause)
 
     def test_the_doctor_hears_of_it(self):
-        """Also who else has the terminal open, which is this program."""
+        """It also names the other process that has the terminal open: this one."""
         command = [sys.executable, "-m", "risc_doctor", "--only", "serial", "--json"]
         for is_network, code, text in ((True, "speed", "socket://"), (False, "shared", "(pid %d)" % os.getpid())):
             with scene(is_network, topics={}, beat=b"", ready=False) as (board, _, node):

@@ -1,4 +1,4 @@
-"""What was seen of a line -> what is wrong with it."""
+"""Diagnosis of a line from what was observed on it."""
 
 import errno
 import math

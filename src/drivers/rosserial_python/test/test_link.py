@@ -1,4 +1,4 @@
-"""The link's states, questions and queue: a scripted line and a clock that the test moves."""
+"""The link's states, topic requests and queue, with a scripted line in simulated time."""
 
 import itertools
 import math
@@ -25,17 +25,17 @@ def announcement(kind, topic):
 
 ANSWER = (
     encode(Id.TIME, bytes(8)) + announcement(Id.PUBLISHER, STATUS) + announcement(Id.SUBSCRIBER, CONTROLS)
-)  # of a device to REQUEST_TOPICS
+)  # a device's answer to a topic request
 
 
 class ScriptedLine:
-    """Takes bytes; keeps what was written."""
+    """Accepts bytes and records them."""
 
     def __init__(self, byte_s=BYTE_S):
         self.byte_s = byte_s
         self.written = b""
-        self.room = math.inf  # [bytes] that it still takes
-        self.waiting = 0  # [bytes] as `queued` says
+        self.room = math.inf  # [bytes] that it still accepts
+        self.waiting = 0  # [bytes] that `queued` returns
         self.discards = 0
         self.error = None
         self._decoder = Decoder()
@@ -55,13 +55,13 @@ class ScriptedLine:
         self.discards += 1
 
     def packets(self):
-        """Those written since the last call."""
+        """Packets written since the last call."""
         data, self.written = self.written, b""
         return self._decoder.feed(data, 0.0)
 
 
 class Scene:
-    """A link, its line and the time; `device(bytes written)` gives what the device answers to them, at once."""
+    """A link, its line and the time; `device(packet)` gives the device's answer (bytes), which comes at once."""
 
     def __init__(self, device=None, silence_s=0.3, **options):
         self.link, self.line, self.now_s = Link(silence_s), ScriptedLine(**options), 100.0
@@ -76,7 +76,7 @@ class Scene:
         return self.link.facts.state
 
     def look(self, data):
-        """What a session does when bytes came, or at a time that `due_s` said."""
+        """Do what a session does when bytes came, or at the time that `due_s` gave."""
         self.heard += (found := self.link.received(data, self.now_s))
         for topic_id, payload in found:
             if topic_id in (Id.PUBLISHER, Id.SUBSCRIBER):
@@ -92,7 +92,7 @@ class Scene:
                 self.look(answer)
 
     def run(self, duration_s, came=None):
-        """Time goes by. came: {time from now [s]: bytes}."""
+        """Advance the time. came: {time from now [s]: bytes}."""
         begin_s, came = self.now_s, sorted((came or {}).items())
         due_s = self.link.due_s(self.now_s)
         while self.now_s < begin_s + duration_s:
@@ -105,7 +105,7 @@ class Scene:
                 due_s = self.link.due_s(self.now_s)
 
     def requests(self):
-        """Times at which topics were asked for."""
+        """Times of the topic requests."""
         return [at_s for at_s, packet in self.sent if packet == (Id.PUBLISHER, b"")]
 
 
@@ -114,7 +114,7 @@ def answers(packet):
 
 
 def publishing(duration_s, period_s=0.1, data=encode(STATUS.topic_id, b"x")):
-    """What a device that publishes sends meanwhile."""
+    """{time from now [s]: bytes} that a publishing device sends."""
     return {k * period_s: data for k in range(1, round(duration_s / period_s) + 1)}
 
 
@@ -137,7 +137,7 @@ def test_a_device_that_publishes_is_left_alone():
 
 
 def test_a_quiet_device_is_asked_and_counts_as_alive():
-    """As an original one that publishes nothing and asks for the time every 2.5 s."""
+    """As an original device that publishes nothing and asks for the time every 2.5 s."""
     scene = Scene(answers)
     scene.run(10.0, {2.5 * k: encode(Id.TIME, bytes(8)) for k in (1, 2, 3)})
     assert scene.state is State.UP and scene.link.facts.counts["lost"] == 0
@@ -199,7 +199,7 @@ def test_a_question_that_comes_too_soon_is_asked_later():
 
 
 def silent_for(duration_s):
-    """A scene whose device was there, and has been lost."""
+    """A Scene whose device was up, and then silent for duration_s."""
     scene = Scene(answers)
     scene.run(2.0)
     scene.device = None
@@ -209,7 +209,7 @@ def silent_for(duration_s):
 
 
 def lost_for(duration_s):
-    """A scene whose device was lost, and now says that it is alive, but not yet what its topics are."""
+    """A Scene whose device was silent for duration_s and sends again, but has not announced its topics."""
     scene = silent_for(duration_s)
     scene.sent.clear()
     scene.run(0.01, {0.0: encode(STATUS.topic_id, b"x")})
@@ -284,7 +284,7 @@ def test_a_device_that_comes_back_in_the_middle_of_an_answer_is_asked_again_soon
 def test_noise_that_looks_like_the_head_of_a_long_packet_does_not_hide_that_a_device_is_back():
     scene = silent_for(0.35)
     begin_s, head = scene.now_s, encode(200, bytes(1780))[:20]
-    came = {0.02 * k: encode(Id.TIME, bytes(8)) for k in range(1, 100)}  # one byte in GAP_S, and it would be given up
+    came = {0.02 * k: encode(Id.TIME, bytes(8)) for k in range(1, 100)}  # no gap of GAP_S, which would end the wait
     scene.run(0.1, {0.0: head, **came})
     assert scene.state is State.UP and scene.now_s - begin_s < 0.11
     scene.device = answers
@@ -295,7 +295,7 @@ def test_noise_that_looks_like_the_head_of_a_long_packet_does_not_hide_that_a_de
 
 
 def test_with_a_long_silence_the_boot_loader_of_an_arduino_mega_is_left_2_5_s_between_requests():
-    """It does not start the sketch while bytes come."""
+    """The boot loader does not start the sketch while bytes come."""
     scene = Scene(answers, silence_s=5.0)
     scene.run(20.0)
     scene.device = None
@@ -336,7 +336,7 @@ def test_an_announcement_that_is_damaged_comes_again():
 
 
 def test_an_announcement_that_is_damaged_without_a_trace_is_asked_for_again():
-    """A sum of 8 bits lets one damaged packet in 256 pass. Messages must not wait until the device is silent."""
+    """An 8-bit sum lets one damaged packet in 256 pass. Messages must not wait until the device falls silent."""
     scene = Scene(answers)
     scene.run(2.0, publishing(2.0))
     scene.look(announcement(Id.SUBSCRIBER, CONTROLS._replace(name="unknown")))
@@ -392,7 +392,7 @@ def test_the_newest_message_waits_for_a_busy_line_and_the_older_ones_do_not():
 
 @pytest.mark.parametrize(("byte_s", "most"), [(BYTE_S, 1.0 / (74 * BYTE_S) + 2), (0.0, 1000)])
 def test_the_line_is_not_given_more_than_it_carries(byte_s, most):
-    """Of a line without a rate the kernel would keep a second of old commands."""
+    """Otherwise the kernel would buffer a second of old commands."""
     scene = Scene(answers, byte_s=byte_s)
     scene.run(1.5)
     scene.sent.clear()
@@ -458,7 +458,7 @@ def test_topics_take_turns():
 
 
 def cause(scene):
-    """What `~link` would say."""
+    """Cause that `~link` would report."""
     return cause_of(scene.link.snapshot()[0], scene.now_s)
 
 
@@ -469,7 +469,7 @@ def test_noise_is_damage_for_who_asks():
     scene.run(1.0, publishing(1.0) | {0.25: b"noise", 0.45: b"noise", 0.65: encode(STATUS.topic_id, b"x")[:-1]})
     assert cause(scene) is Cause.DAMAGE
     for _ in scene.link.snapshot()[0].damaged_s:
-        scene.look(b"noise")  # what another thread iterates over stays as it is
+        scene.look(b"noise")  # a deque over which another thread iterates must not change
     scene.run(10.0, publishing(10.0))
     assert cause(scene) is Cause.NONE
 

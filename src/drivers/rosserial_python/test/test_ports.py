@@ -1,4 +1,4 @@
-"""Lines of the kernel: pseudo-terminals and TCP; what is said of a port that is none."""
+"""Real lines: pseudo-terminals and TCP; error messages for a wrong port."""
 
 import contextlib
 import errno
@@ -15,7 +15,7 @@ from rosserial_python.settings import SerialParams
 
 @pytest.fixture
 def terminal(tmp_path):
-    """(board's end, port of the other one, path)."""
+    """(board's end, port at the other end, path)."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     os.set_blocking(ours, False)
@@ -78,7 +78,7 @@ def test_a_full_line_takes_what_it_has_room_for(terminal):
     line = port.open()
     taken = line.write(bytes(2**20))
     assert 0 < taken < 2**20
-    while line.write(bytes(4096)):  # ends: what finds no room is not waited for
+    while line.write(bytes(4096)):  # ends: write does not wait for room
         pass
     line.close()
 
@@ -138,7 +138,7 @@ def test_a_search_that_finds_no_device_is_no_port_for_now():
 
 
 def strange_connection(**options):
-    """A connection from another address than the one that it leads to, and the port."""
+    """(Port, connection to it from another address, reports)."""
     net = "127.%d.%d." % (64 + os.getpid() % 128, os.getpid() // 128 % 256)
     said = []
     port = ListeningPort(0, strangers=Strangers(lambda level, text: said.append(text), "tcp"), **options)
@@ -149,7 +149,7 @@ def strange_connection(**options):
 
 @pytest.fixture
 def loopback_is_foreign(monkeypatch):
-    """The addresses that a computer alone can try are no better than others."""
+    """Treat loopback addresses like those of other computers."""
     monkeypatch.setattr(Guests, "_is_loopback", lambda self, address: False)
 
 

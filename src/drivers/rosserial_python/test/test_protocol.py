@@ -1,4 +1,4 @@
-"""Packets against golden bytes, and through every kind of damage."""
+"""Packets against golden bytes, and with every kind of damage."""
 
 import contextlib
 import random
@@ -57,7 +57,7 @@ def test_a_payload_that_is_something_else_is_refused(function, payload):
 
 @pytest.mark.parametrize("at", range(len(CHATTER)))
 def test_no_topic_with_one_damaged_byte_has_another_shape(at):
-    """What passes is well-formed; the definition's sum says later whether it is right."""
+    """What passes is well-formed; the definition's checksum is checked later."""
     damaged = bytearray(CHATTER)
     damaged[at] ^= 0x80
     try:
@@ -82,7 +82,7 @@ def test_a_payload_that_no_packet_holds():
 
 @given(st.lists(packets, max_size=8), st.lists(st.integers(1, 40), min_size=1, max_size=20))
 def test_any_packets_in_any_pieces(sent, sizes):
-    byte_s = 1e-3  # a piece has a byte at least, so the line is never slower
+    byte_s = 1e-3  # each piece has at least one byte, so the line is never slower
     wire, found, decoder = b"".join(encode(*packet) for packet in sent), [], Decoder(byte_s)
     at = k = 0
     while at < len(wire):
@@ -95,12 +95,12 @@ def test_any_packets_in_any_pieces(sent, sizes):
 
 @given(st.binary(max_size=60), st.lists(packets, min_size=1, max_size=4), st.binary(max_size=60))
 def test_packets_in_noise_are_all_found(before, sent, after):
-    """Noise may look like the beginning of a packet: then they are found when its rest does not come."""
+    """Noise may look like the start of a packet: then they are found once its rest fails to come."""
     decoder = Decoder()
     found = decoder.feed(before + b"".join(encode(*packet) for packet in sent) + after, 0.0)
     found += decoder.feed(b"", GAP_S)
     position = 0
-    for packet in sent:  # noise may hold packets of its own, and then between ours only in theory
+    for packet in sent:  # the noise may contain packets of its own
         assert packet in found[position:]
         position = found.index(packet, position) + 1
 
@@ -122,9 +122,9 @@ def test_lost_bytes_take_no_other_packet_with_them(first, second, data):
     begin = data.draw(st.integers(0, len(wire) - 1))
     end = data.draw(st.integers(begin + 1, len(wire)))
     decoder, damaged = Decoder(), wire[:begin] + wire[end:] + encode(*second)
-    assume(not damaged.startswith(wire))  # else what was lost are bytes of the second one that are the same
+    assume(not damaged.startswith(wire))  # otherwise the second packet's bytes replace the lost ones exactly
     found = decoder.feed(damaged, 0.0) + decoder.feed(b"", GAP_S)
-    assume(set(found) <= {first, second})  # else the 8-bit sum was right by chance
+    assume(set(found) <= {first, second})  # otherwise an 8-bit sum was right by chance
     assert found[-1:] == [second]
 
 
@@ -139,14 +139,14 @@ def test_a_rest_that_does_not_come_is_given_up_after_a_gap():
 
 
 def test_a_length_that_is_not_true_holds_nothing_up_for_long():
-    """Its checksum may be right by accident: packets within what it claims come when it is given up."""
+    """Its checksum may be right by chance: packets within the claimed length are delivered once it is given up."""
     byte_s = 10 / 57600
     decoder, wire = Decoder(byte_s), encode(125, bytes(20))
     false_head = b"\xff\xfe\xd0\x07" + bytes([255 - (0xD0 + 0x07)])  # 2000 bytes to come
     decoder.feed(false_head, 0.0)
     at_s, found = 0.0, []
     while not found:
-        at_s += 0.02  # it never is quiet for as long as the gap
+        at_s += 0.02  # never quiet for GAP_S
         found = decoder.feed(wire, at_s)
     assert len(found) > 1, "those before come with it"
     assert at_s < 1.0
@@ -172,7 +172,7 @@ def test_a_device_of_groovy_is_recognised():
 
 
 def test_a_megabyte_of_noise_passes_few_packets(inputs):
-    """Chance passes one in 2**24 positions, see the module: what is passed on is checked again by its type."""
+    """One in 2**24 positions passes by chance (see the module); packets passed on are checked again by their type."""
     noise, decoder, passed = random.Random(3), Decoder(10 / 57600), 0
     size = inputs(2**20, 2**25)
     for k in range(size // 4096):

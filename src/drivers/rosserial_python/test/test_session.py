@@ -1,4 +1,4 @@
-"""The thread of a line: what ends it, and what others see of the link meanwhile."""
+"""The thread of a line: what ends it, and what other threads see of the link."""
 
 import os
 import sys
@@ -24,7 +24,7 @@ ANSWER = encode(Id.TIME, bytes(8)) + announcement(Id.PUBLISHER, topic_of(125, "b
 
 @pytest.fixture
 def terminal(tmp_path):
-    """(board's end, port of the other one)."""
+    """(board's end, port at the other end)."""
     pair = PseudoTerminal(tmp_path / "ttyACM0")
     yield pair.plug_in(), SerialPort(pair.url, 57600, 10.0)
     pair.close()
@@ -32,7 +32,7 @@ def terminal(tmp_path):
 
 @pytest.mark.parametrize("is_alone", [True, False], ids=["alone", "one of several boards"])
 def test_a_defect_ends_the_line_and_a_node_that_has_no_other(monkeypatch, terminal, is_alone):
-    """It is started again then: with a line that nobody serves it would live on."""
+    """Alone, the node ends and is restarted; otherwise it would live on without serving its line."""
     end, port = terminal
     ends = []
     monkeypatch.setattr(node.rospy, "signal_shutdown", lambda reason: ends.append(device.close()))
@@ -45,7 +45,7 @@ def test_a_defect_ends_the_line_and_a_node_that_has_no_other(monkeypatch, termin
 
 
 def test_a_silent_board_is_not_asked_again_after_the_goodbye(monkeypatch, terminal):
-    """Its answer would be to publish again, to nobody."""
+    """It would answer by publishing again, with no host to receive it."""
     end, port = terminal
     monkeypatch.setattr(Link, "idle", False)  # the goodbye takes as long as it may
     session = Session(port, 0.05, lambda packet: None, pytest.fail)
@@ -57,7 +57,7 @@ def test_a_silent_board_is_not_asked_again_after_the_goodbye(monkeypatch, termin
 
 
 def test_diagnostics_and_the_session_share_a_link(tmp_path):
-    """A deque or dict that changes while another thread iterates over it is a RuntimeError there."""
+    """Changing a deque or dict while another thread iterates over it raises RuntimeError there."""
     device = node.Device(SerialPort(str(tmp_path / "none"), 57600, 10.0), SerialParams(), lambda message: None)
     line = SimpleNamespace(byte_s=1e-4, write=len, queued=lambda: 0)
     link, over, interval_s = device.session.link, threading.Event(), sys.getswitchinterval()

@@ -1,4 +1,4 @@
-"""What dynamic_reconfigure offers is what the settings know, with the same defaults and ranges."""
+"""dynamic_reconfigure offers the same settings, defaults and ranges as CameraSettings."""
 
 import dataclasses
 

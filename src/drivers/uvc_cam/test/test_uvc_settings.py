@@ -1,4 +1,4 @@
-"""Parameters: the table's defaults, mistakes named, and what a change asks of the camera."""
+"""Parameters: the table's defaults, errors that name the parameter, and what a change requires of the camera."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Folders, video files and cameras as sources. Cameras are stood in for: the test machine has none."""
+"""Folders, video files and cameras as sources. Cameras are replaced by stand-ins: the test machine has none."""
 
 import dataclasses
 import errno
@@ -148,7 +148,7 @@ def test_a_device_that_is_no_camera_is_named():
 
 
 class Capture:
-    """Stands in for cv2.VideoCapture on a camera that has 320 x 240 only and no sharpness."""
+    """Stands in for cv2.VideoCapture on a camera that has only 320 x 240 and no sharpness control."""
 
     made = []
 

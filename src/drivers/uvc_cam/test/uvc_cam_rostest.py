@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""uvc_cam_node end to end: sources that come, go and change, calibrations that fit and do not."""
+"""uvc_cam_node end to end: sources that appear, vanish and change, calibrations that fit or not."""
 
 import os
 import pathlib
@@ -24,7 +24,7 @@ COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]  # blue green red
 
 
 def write_pictures(folder):
-    """A folder of three pictures, there at one go."""
+    """Make a folder of three pictures; it appears at once, complete."""
     made = folder.with_name(folder.name + ".part")
     made.mkdir(parents=True)
     for k, bgr in enumerate(COLOURS):

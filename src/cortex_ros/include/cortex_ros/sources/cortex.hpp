@@ -1,4 +1,4 @@
-// The Cortex client as a source of motion capture.
+// The Cortex client as a motion-capture source.
 #pragma once
 
 #include "cortex_ros/client.hpp"

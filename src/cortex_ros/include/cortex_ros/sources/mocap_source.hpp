@@ -1,7 +1,7 @@
-// What a source of motion capture is to the node: frames, what its host says, how it is. No ROS, no vendor.
+// Interface between a motion-capture source and the node: frames, host settings, status. No ROS, no vendor.
 //
 // A vendor is one file in src/sources, which registers itself by name, and config/sources/NAME.yaml with its
-// parameters. Sequence, stamps, messages, diagnostics and log are the node's (mocap_publisher.hpp).
+// parameters. The node does sequence, stamps, messages, diagnostics and log (mocap_publisher.hpp).
 #pragma once
 
 #include <cstdint>
@@ -24,13 +24,13 @@ struct Position {
 struct MocapBody {
   std::string name;
   std::vector<Position> markers;  // in the order of the body's template
-  double residual_m = 0.0;        // of the host's own fit; 0: not told
+  double residual_m = 0.0;        // of the host's own fit; 0: not reported
 };
 
 struct MocapFrame {
   std::int32_t number = 0;        // counts exposures; may restart
   Time receipt{0};                // wall time at which it arrived
-  std::optional<double> delay_s;  // exposure to sending, as the host says it: may be nonsense
+  std::optional<double> delay_s;  // exposure to sending, as reported by the host: may be nonsense
   std::vector<MocapBody> bodies;
   std::vector<Position> unidentified;  // markers of no body
 };
@@ -45,30 +45,30 @@ struct MocapHost {
 struct Counter {
   std::string name;
   std::uint64_t count;
-  std::string warning = "";  // of the diagnostics while the count grows; empty: none
+  std::string warning = "";  // shown in the diagnostics while the count grows; empty: none
 };
 
 struct SourceStatus {
   bool up = false;
-  std::string host;                   // its address, or what is searched for
+  std::string host;                   // its address, or the address that is searched for
   std::string why_down;               // when it is not up
-  std::string mode;                   // how frames come
+  std::string mode;                   // how frames arrive
   std::vector<std::string> warnings;  // when it is up
   std::vector<Counter> counters;
 };
 
 enum class LogLevel { kInfo, kWarning, kError };
 
-// All calls come from the thread that runs the source. References are good during the call only.
+// All calls come from the thread that runs the source. References are valid during the call only.
 class SourceEvents {
  public:
   virtual ~SourceEvents() = default;
   virtual void on_frame(const MocapFrame& frame) = 0;
-  // Frames follow. Comes again, without an on_host_down() before, when the host's settings were read again.
+  // Frames follow. Called again, without an on_host_down() in between, when the host's settings were reread.
   virtual void on_host_up(const MocapHost& host) = 0;
   virtual void on_host_down(const std::string& why) = 0;  // once per absence
   virtual void on_log(LogLevel level, const std::string& text) = 0;
-  // The same for what packets from the network cause: it is throttled.
+  // Throttled log, for messages that packets from the network cause.
   virtual void on_frequent_log(LogLevel level, const std::string& text) = 0;
 };
 
@@ -85,7 +85,7 @@ class MocapSource {
 using MakeSource = std::unique_ptr<MocapSource> (*)(Parameters& parameters, SourceEvents& events,
                                                     const Clock& clock);
 
-// One constant of this type in the file of a source adds it to the registry.
+// Define one constant of this type in a source's file to add the source to the registry.
 struct RegisteredSource {
   RegisteredSource(const std::string& name, MakeSource make);
 };

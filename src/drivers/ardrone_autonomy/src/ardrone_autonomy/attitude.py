@@ -1,9 +1,9 @@
-"""Attitude of the aircraft in the axes of ROS, and the track that its own velocity estimate gives."""
+"""Attitude of the aircraft in the axes of ROS, and the track integrated from its own velocity estimate."""
 
 import math
 from collections import namedtuple
 
-# A pause longer than this is not bridged: the position stays where it was.
+# The velocity is not integrated over a longer gap: the position stays where it was.
 MAX_GAP_S = 1.0
 
 
@@ -24,9 +24,9 @@ OdometryState = namedtuple("OdometryState", "position_m quaternion_xyzw velocity
 
 
 class Odometry:
-    """Position by integration of the velocity that the aircraft estimates (optical flow).
+    """Integrates the velocity that the aircraft estimates (optical flow) to a position.
 
-    Frame: x, y where the integration began, z up (height above ground); velocities x forward, y left, z up in the
+    Frame: x, y from where the integration began, z up (height above ground); velocities x forward, y left, z up in the
     levelled body frame.
     Deviation from the original driver: the velocity is turned by the yaw angle of ROS (counter-clockwise +). The
     original used the aircraft's angle (clockwise +) without changing its sign, which mirrors the track.
@@ -37,7 +37,7 @@ class Odometry:
         self._last_s = -math.inf
 
     def update(self, demo, received_s):
-        """OdometryState after one packet.
+        """Return the OdometryState after one packet.
 
         demo: the demo option (protocol.navdata), axes and units of the aircraft.  received_s: time of reception.
         """

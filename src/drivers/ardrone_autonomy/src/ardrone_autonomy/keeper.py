@@ -1,16 +1,16 @@
 """A small process beside the driver: it keeps vehicles hovering when the driver dies or hangs, and then lands them.
 
-Without commands the aircraft flies on with its last tilt for a second, and a driver that is started again
-needs longer. It is brought to a stop and then down: one that hovers drifts by some centimetres a second, and its
-neighbours may have lost their driver, too. What it may do is said in memory that both share; it has nothing of the
-driver's that could fail with it. A driver that is started again takes its vehicles over from the keeper of the one that
-died (`take_over`); programs of other users cannot.
+Without commands the aircraft flies on with its last tilt for a second, and restarting the driver takes longer. The
+keeper stops the aircraft and then lands it: a hovering aircraft drifts by some centimetres a second, and its neighbours
+may have lost their driver, too. The driver tells the keeper by shared memory what each vehicle does; apart from that
+they share nothing that could fail together. A restarted driver takes its vehicles over from the keeper of the driver
+that died (`take_over`); programs of other users cannot.
 
     hovers  at once when the driver has died, after STALE_S when it hangs
     lands   HOVER_S later, if no driver has taken over
 
-This file is both sides: the driver's (`Keeper`), and the process itself, which imports nothing but the standard library
-and is not of the driver's session, so that no signal to the driver reaches it.
+This file has both sides: the driver's (`Keeper`), and the process itself, which imports only the standard library and
+runs in its own session, so that no signal to the driver reaches it.
 """
 
 import contextlib
@@ -23,29 +23,29 @@ import subprocess
 import sys
 import time
 
-STALE_S = 0.15  # the driver says what it does 40 times a second
-HOVER_S = 1.0  # it has come to a stop then; a driver that hung for a moment goes on before
-LAND_S = 4.0  # how long a landing is ordered
+STALE_S = 0.15  # the driver reports 40 times a second
+HOVER_S = 1.0  # the aircraft has stopped by then; a driver that hung for a moment resumes earlier
+LAND_S = 4.0  # how long the landing command is sent
 _LOOK_S = 0.05
-_SEND_S = 0.025  # as the driver
+_SEND_S = 0.025  # as in the driver
 _AT_PORT = 5556
-_END_S = 2.0  # for the process to end
+_END_S = 2.0  # time for the process to end
 _MOST_READ = 16  # messages read at a time
-# Constant numbers: 1 lets the aircraft count from there, so each datagram is accepted, and what the driver sends next.
+# Constant sequence numbers: 1 resets the aircraft's count, so it accepts each datagram, and the driver's next ones.
 _HOVER = b"AT*PCMD_MAG=1,0,0,0,0,0,0,0\r"
 _FLY, _LAND = (_HOVER + b"AT*REF=2,%d\r" % bits for bits in (0x11540200, 0x11540000))
-_SLOT = struct.Struct("=dd")  # of one vehicle: when the driver said it [s, monotonic], what
+_SLOT = struct.Struct("=dd")  # per vehicle: time of the driver's report [s, monotonic], state (next line)
 _NOBODY, _GROUND, _FLIES = 0.0, 1.0, 2.0
-_CREDENTIALS = struct.Struct("=3i")  # process, user and group that sent a message, as the kernel adds them
+_CREDENTIALS = struct.Struct("=3i")  # process, user and group of the sender of a message, added by the kernel
 
 
 def _door(address):
-    """Where a keeper listens whose driver has died: an abstract socket, of this network namespace."""
+    """Address at which a keeper listens after its driver has died: an abstract socket in this network namespace."""
     return "\0ardrone_keeper %s" % address
 
 
 def take_over(address):
-    """Only we command the vehicle from now on."""
+    """Tell the keeper of a dead driver that this process commands the vehicle from now on."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock, contextlib.suppress(OSError):  # there is no keeper
         sock.sendto(b"\0", socket.MSG_DONTWAIT, _door(address))
 
@@ -54,14 +54,14 @@ class Keeper:
     """The driver's side."""
 
     def __init__(self, addresses):
-        """addresses: of the vehicles. Raises OSError."""
+        """Start the process. addresses: of the vehicles. Raises OSError."""
         size = _SLOT.size * len(addresses)
         memory = os.memfd_create("ardrone_keeper")
         try:
             os.ftruncate(memory, size)
             self._memory = mmap.mmap(memory, size)
             command = [sys.executable, "-I", "-S", __file__, str(memory), *addresses]
-            # the pipe ends with the driver, whatever ends it
+            # the pipe closes when the driver ends, for whatever reason
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, pass_fds=(memory,), start_new_session=True, cwd="/"
             )
@@ -69,17 +69,17 @@ class Keeper:
             os.close(memory)
 
     def note(self, k, now_s, connected, flies):
-        """Of the k-th vehicle: it has answered; it is to stay in the air."""
+        """Report the k-th vehicle. connected: it has answered; flies: it is to stay in the air."""
         what = (_FLIES if flies else _GROUND) if connected else _NOBODY
         _SLOT.pack_into(self._memory, k * _SLOT.size, now_s, what)
 
     @property
     def runs(self):
-        """Whether the process is there."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     def close(self):
-        """The driver ends, and has given its last orders."""
+        """End the process: the driver has given its last orders."""
         with contextlib.suppress(OSError):  # it has ended already
             self._process.stdin.write(b"q")
             self._process.stdin.close()
@@ -101,7 +101,7 @@ class _Kept:
         self.over = False
 
     def step(self, now_s, driver_is_dead):
-        """Send what is due. Returns whether it must be called soon."""
+        """Send what is due. Returns True while it must be called every _SEND_S."""
         said_s, what = _SLOT.unpack_from(self._memory, self._offset)
         silent = driver_is_dead or now_s - said_s > STALE_S
         self.over = self.over or driver_is_dead and self._is_taken_over()
@@ -118,7 +118,7 @@ class _Kept:
         return True
 
     def _is_taken_over(self):
-        """Whether a program of our user has said so."""
+        """Whether a program of our user has taken over."""
         if self._door is None:
             self._open_door()
         with contextlib.suppress(BlockingIOError):
@@ -140,7 +140,7 @@ class _Kept:
 
 
 def main(memory, *addresses):
-    """The process: until the driver says that it ends, or nothing is left to be done for one that has died."""
+    """Run the process until the driver ends it, or until everything is done for a driver that has died."""
     with mmap.mmap(int(memory), _SLOT.size * len(addresses)) as shared:
         vehicles = [_Kept(address, shared, k * _SLOT.size) for k, address in enumerate(addresses)]
         pipe, driver_is_dead, soon = 0, False, False

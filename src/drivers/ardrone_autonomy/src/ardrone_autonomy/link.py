@@ -4,19 +4,19 @@
         ^                                                     ^------- the vehicle has rebooted ------|
         |------------------------- nothing received for lost_s seconds -------------------------------|
 
-Everything that happens is told to it with the time of a monotonic clock: received datagrams (`on_navdata`), orders of
-the pilot (`steer`, `take_off`, ...) and the passing of time (`poll`).  It answers through two functions that send a
-datagram, to the command port and to the navdata port.
+All inputs carry the time of a monotonic clock: received datagrams (`on_navdata`), orders of the pilot (`steer`,
+`take_off`, ...) and the passing of time (`poll`).  The outputs are two functions that send a datagram, to the command
+port and to the navdata port.
 
-Commands leave every TICK_S, one PCMD_MAG and one REF in one datagram.  A new order does not wait for the next tick:
+Commands are sent every TICK_S, one PCMD_MAG and one REF in one datagram.  A new order does not wait for the next tick:
 it is sent at once and the tick starts over, so nothing is added to the delay of the radio.
 
-Where safety asks for more than the original driver does: the start bit is dropped when the vehicle is lost or has
-rebooted (it would otherwise take off by itself when it comes back), and is set by a driver that finds its vehicle in
-flight (it would land under a driver that was started again); orders that came while the driver was suspended are not
-obeyed, except to land and to stop; a take-off is refused in emergency, and a reset that has no effect is given up
-instead of being held for ever.  Silence does not take the emergency stop away: telemetry
-may be lost while commands still arrive, so a reset is sent blind as well.
+Safety rules beyond the original driver: the start bit is cleared when the vehicle is lost or has rebooted (otherwise it
+would take off by itself when it comes back), and set by a driver that finds its vehicle in flight (otherwise the
+vehicle would land when its driver is restarted); orders that came while the driver was suspended are ignored, except to
+land and to stop; a take-off is refused in emergency, and a reset that has no effect is given up instead of being held.
+Silence does not disable the emergency stop: telemetry may be lost while commands still arrive, so a reset is sent even
+without telemetry.
 """
 
 import itertools
@@ -32,9 +32,9 @@ from ardrone_autonomy.settings import APPLICATION_ID, DRIVER_DEFAULTS, USER_ID
 
 TICK_S = 0.025  # 40 Hz, as the original; the aircraft raises COM_WATCHDOG after 50 ms of silence
 MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
-WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent, and again; reduced telemetry comes every 65 ms
-COMMAND_TIMEOUT_S = 0.5  # default: a node that died must not leave its last tilt to fly on
-STALL_S = 0.5  # a driver that was not called for this long was suspended: orders to fly of that time are old,
+WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent and repeated; reduced telemetry comes every 65 ms
+COMMAND_TIMEOUT_S = 0.5  # default: the last tilt of a node that died must not stay in force
+STALL_S = 0.5  # a driver that was not called for this long was suspended: flight orders from that time are old,
 DEAF_S = 0.3  # and may still arrive for this long
 LOST_S = float(DRIVER_DEFAULTS["com_watchdog"])  # default: silence after which the vehicle counts as lost
 ACK_TIMEOUT_S = 0.5  # a configuration write without answer is repeated after this time
@@ -48,16 +48,16 @@ BOOTSTRAP_PATIENCE_S = 1.0  # bootstrap packets may still come this long after t
 _ACK, _BOOTSTRAP, _COM_WATCHDOG, _EMERGENCY, _FLYING = map(
     int, (State.COMMAND_ACK, State.BOOTSTRAP, State.COM_WATCHDOG, State.EMERGENCY, State.FLYING)
 )
-_MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be valid to its last byte
+_MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # if one of these changes, the whole packet is checked, including its checksum
 
 _NEVER_S = float("inf")
 _FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
 _NOT_IN_FLIGHT = (ControlState.LANDED, ControlState.LANDING)
-_STEERED = (int(ControlState.FLYING), int(ControlState.HOVERING))  # is what a vehicle is then
+_STEERED = (int(ControlState.FLYING), int(ControlState.HOVERING))  # states in which a vehicle obeys the sticks
 
 
 class Phase(Enum):
-    """How far the connection is."""
+    """State of the connection."""
 
     SEARCHING = "searching"
     SETTLING = "settling"
@@ -71,12 +71,12 @@ _Write = Enum("_Write", "IDLE AWAIT_ACK AWAIT_CLEAR")
 class DroneLink:
     """Connection, configuration and piloting of one vehicle.
 
-    send_command, send_wake_up: functions of one bytes argument, they must not raise.
+    send_command, send_wake_up: functions of one bytes argument; they must not raise.
     setup_writes: list of ("section:name", wire text) written after each connection, see settings.setup_writes.
     session_id: 8 hexadecimal digits.
     settle_s: pause between the first packet and the configuration.
-    command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever, as in the original.
-    land_timeout_s: land when it is older, of a vehicle that was steered once; 0 = never, as in the original.
+    command_timeout_s: hover when the last velocity command is older; 0 = it stays in force, as in the original.
+    land_timeout_s: land when it is older, once the vehicle has been steered; 0 = never, as in the original.
     lost_s: silence after which the vehicle counts as lost and is told to land: its own limit, general:com_watchdog.
     report: function (level, text), level "info", "warn" or "error".
     """
@@ -104,9 +104,9 @@ class DroneLink:
         self._report = report
 
         self.phase = Phase.SEARCHING
-        self.due_s = float("-inf")  # poll wants to be called at this time
+        self.due_s = float("-inf")  # when poll must be called
         self.accepted = 0  # packets
-        self.configurations = 0  # times that the vehicle was configured: what was written before no longer holds
+        self.configurations = 0  # times that the vehicle was configured: earlier writes no longer hold
         self.stale = 0  # packets older than one seen before
         self.refused = 0  # datagrams that are not navdata, or damaged
         self.connections = 0
@@ -122,7 +122,7 @@ class DroneLink:
         self._setup_started_s = float("-inf")
         self._watchdog_reset = False
         self._control_state = ControlState.DEFAULT
-        self._steered_since_s = _NEVER_S  # since when it flies or hovers, of what is known
+        self._steered_since_s = _NEVER_S  # since when the vehicle reports that it flies or hovers
         self._stood_still_s, self._deaf_until_s = 0.0, float("-inf")
 
         self._writes = deque()
@@ -133,7 +133,7 @@ class DroneLink:
         self._wanted = HOVER  # newest velocity command
         self._wanted_s = float("-inf")
         self._timed_out = False
-        self._sticks = HOVER  # what is sent
+        self._sticks = HOVER  # sticks that are sent
         self._start = False  # REF bit 9
         self._select = False  # REF bit 8
         self._select_until_s = 0.0
@@ -158,7 +158,7 @@ class DroneLink:
 
     @property
     def keeps_flying(self):
-        """It is told to stay in the air, if that is where it is."""
+        """The vehicle is commanded to stay in the air (if it flies)."""
         return self._start
 
     @property
@@ -174,7 +174,7 @@ class DroneLink:
 
     # --- orders of the pilot ------------------------------------------------------------------------------------------
     def stood_still(self, duration_s, now_s):
-        """How long it was not called: the process hung, or the computer slept."""
+        """Note how long this link was not called: the process hung, or the computer slept."""
         if duration_s >= STALL_S:
             self._stood_still_s, self._deaf_until_s = duration_s, now_s + DEAF_S
             self._report("warn", "the driver was suspended for %.1f s" % duration_s)
@@ -211,8 +211,8 @@ class DroneLink:
     def reset(self, now_s):
         """Toggle the emergency state: stops the motors in the air (!), clears an emergency on the ground.
 
-        Also sent to a vehicle that has fallen silent, it may still hear; but not when it was in emergency before,
-        as it is then unknown whether the toggle stops or revives it.
+        Also sent to a vehicle that has fallen silent, because it may still receive; but not if it was in emergency
+        before, because then it is unknown whether the toggle would stop or restart it.
         """
         if not self.connections:
             self._report("warn", "reset refused: no vehicle has answered yet")
@@ -226,14 +226,14 @@ class DroneLink:
         self._hurry(now_s)
 
     def flat_trim(self, now_s):
-        """Tell the vehicle that it lies flat now; refused in flight."""
+        """Tell the vehicle that it is level now; refused in flight."""
         if self.state_bits & _FLYING:
             self._report("warn", "flat trim refused: the vehicle is flying")
             return
         self._send("FTRIM")
 
     def blink(self, animation, frequency_hz, duration_s, now_s):
-        """LED animation."""
+        """Start an LED animation."""
         self._send("LED", animation, frequency_hz, duration_s)
 
     def write(self, key, text, now_s):
@@ -242,16 +242,16 @@ class DroneLink:
         self.due_s = now_s
 
     def close(self, now_s):
-        """Last orders before the end: hover and land; nothing else is obeyed from here on."""
+        """Give the last orders, hover and land; ignore all orders from now on."""
         self._wanted = HOVER
         self._closing = True
         self._take_off_ordered = False
         self.land(now_s)
 
     def send_last_orders(self):
-        """Send hover and land at once: for the end without `poll`, when the thread that calls it has failed.
+        """Send hover and land at once, without `poll`: for use when the thread that calls `poll` has failed.
 
-        An emergency stop that is under way goes on.
+        An emergency stop in progress is kept.
         """
         if self.connections:
             self._pilot(HOVER, select=self._select or self._reset_ordered)
@@ -264,7 +264,7 @@ class DroneLink:
 
     # --- navdata --------------------------------------------------------------------------------------------------
     def on_navdata(self, data, now_s):
-        """A datagram from the navdata port of the vehicle. True when it is the newest packet so far.
+        """Handle a datagram from the navdata port of the vehicle. Returns True when it is the newest packet so far.
 
         Looks at the header only, and verifies the checksum only when the vehicle enters or leaves emergency or
         bootstrap; the caller decodes the options of the packets that it needs.
@@ -337,7 +337,7 @@ class DroneLink:
             self._start_configuration(now_s)
 
     def _ground(self):
-        """Forget whatever keeps or brings a vehicle into the air; an emergency stop that was ordered stands."""
+        """Cancel all orders that keep or bring the vehicle into the air; an ordered emergency stop is kept."""
         self._start = self._take_off_ordered = self._land_ordered = False
         self._wanted = self._sticks = HOVER
 
@@ -351,7 +351,7 @@ class DroneLink:
 
     # --- time -----------------------------------------------------------------------------------------------------
     def poll(self, now_s):
-        """Do what is due; sets due_s, the time of the next call (orders and packets may make it earlier)."""
+        """Do what is due; set due_s, the time of the next call (orders and packets may make it earlier)."""
         if now_s >= self._next_wake_up_s:
             if now_s - self._heard_s >= WAKE_UP_PERIOD_S:
                 self._send_wake_up(WAKE_UP)
@@ -382,7 +382,7 @@ class DroneLink:
         self._ground()
 
     def _hurry(self, now_s):
-        """Send at once what has changed, MIN_SPACING_S after the last datagram at the earliest."""
+        """Bring the next tick forward to now, but at least MIN_SPACING_S after the last datagram."""
         if self._next_tick_s != _NEVER_S:
             self._next_tick_s = min(self._next_tick_s, max(now_s, self._last_tick_s + MIN_SPACING_S))
             self.due_s = min(self.due_s, self._next_tick_s)
@@ -426,7 +426,7 @@ class DroneLink:
         return self._wanted
 
     def _land_if_forgotten(self, now_s):
-        """The node that steered it has ended or hangs, and nothing else will land it."""
+        """Land when the node that steered the vehicle has ended or hangs, because nothing else would land it."""
         silent_s = now_s - max(self._wanted_s, self._steered_since_s)
         was_steered = self._wanted_s > float("-inf")
         if self._start and was_steered and 0.0 < self._land_timeout_s < silent_s:
@@ -435,7 +435,7 @@ class DroneLink:
 
     # --- configuration ----------------------------------------------------------------------------------------------
     def _advance_writes(self, now_s):
-        """One step of: acknowledge bit clear -> write -> bit set -> ask to clear it -> bit clear -> next write."""
+        """Do one step of: acknowledge bit clear -> write -> bit set -> ask to clear it -> bit clear -> next write."""
         acknowledged = bool(self.state_bits & _ACK)
         is_due = now_s >= self._write_retry_s
         if self._write_state is _Write.AWAIT_ACK:
@@ -471,7 +471,7 @@ class DroneLink:
             self._write_retry_s = now_s + CLEAR_PERIOD_S
             return
         if self._write_tries > 1 and self.phase is Phase.CONFIGURING:
-            # A vehicle that still counts from a client before us ignores all but number 1, which was lost
+            # A vehicle that still counts on from a previous client accepts only number 1, which was lost
             self._numbers = itertools.count(1)
         self._send_command(
             at.encode("CONFIG_IDS", next(self._numbers), self._session_id, USER_ID, APPLICATION_ID)

@@ -19,7 +19,7 @@ HOVER = Sticks(0, 0.0, 0.0, 0.0, 0.0)
 
 
 def sticks_from_velocity(linear, angular):
-    """Sticks for one geometry_msgs/Twist.
+    """Return the Sticks for one geometry_msgs/Twist.
 
     linear, angular: (x, y, z) as in the Twist.  linear.x + forward, linear.y + left, linear.z + up, angular.z
     + counter-clockwise from above; clipped to [-1, 1].  angular.x and angular.y only count for the hover rule:

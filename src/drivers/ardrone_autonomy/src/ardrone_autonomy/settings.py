@@ -1,12 +1,12 @@
 """Which configuration is written to the aircraft, and in which order.
 
-Every key that the parameters name is written.  The original driver left out values that equal the SDK's defaults; but
-common keys stay in the aircraft from one client to the next, so that it would keep flying with, say, the outdoor limits
-that a telephone has set.  The driver's own values are written where they differ from the SDK's defaults.
+Every key that is set as a parameter is written.  The original driver left out values that equal the SDK's defaults; but
+common keys stay in the aircraft from one client to the next, so it would keep flying with, say, the outdoor limits that
+a phone app has set.  The driver's own values are written where they differ from the SDK's defaults.
 
 `control:outdoor` comes first, because switching it copies the indoor_ or outdoor_ limits over the active ones; then the
-other common keys, then those that belong to our profiles.  The profiles of earlier runs are deleted before, so that no
-old value of theirs survives.
+other common keys, then the keys that belong to our profiles.  The profiles of earlier runs are deleted first, so that
+none of their values survives.
 """
 
 from ardrone_autonomy.protocol import at, config
@@ -22,8 +22,9 @@ MAX_STRING_CHARS = 127
 VIDEO_CODEC_LIVE = 0x81  # H.264, 360p
 VIDEO_CODEC_RECORD = 0x82  # 360p to the client, 720p to the USB key
 
-# Values that the driver writes unless a parameter has another; all else stays as the aircraft has it. An aircraft that
-# hears nothing keeps its last tilt for com_watchdog seconds, a whole number: in the SDK's 2 it can leave the net.
+# Values that the driver writes unless a parameter sets another; all other keys stay as they are in the aircraft. An
+# aircraft without commands keeps its last tilt for com_watchdog seconds (a whole number): in the SDK's 2 s it can leave
+# the net.
 DRIVER_DEFAULTS = {
     "max_bitrate": 4000,
     "navdata_options": ALL_OPTIONS_MASK,
@@ -36,17 +37,17 @@ WRITABLE_KEYS = {key.name: key for key in config.KEYS.values() if not key.read_o
 
 
 def wire_text(key, value):
-    """Text of a parameter value for one ConfigKey.
+    """Return the wire text of a parameter value for one ConfigKey.
 
-    value: number, bool or string as a parameter server holds it.  Numbers are read as floats and converted to the
-    kind of the key; strings are cut at MAX_STRING_CHARS.  ValueError when that is not possible.
+    value: number, bool or string from the parameter server.  Numbers are read as floats and converted to the kind of
+    the key; strings are cut at MAX_STRING_CHARS.  ValueError when that is not possible.
     """
     try:
         if key.kind is str:
             text = str(value)[:MAX_STRING_CHARS]
         else:
             text = config.format_value(key.kind, float(value))
-        at.encode("CONFIG", 1, key.key, text)  # refuses what no command can carry
+        at.encode("CONFIG", 1, key.key, text)  # raises if no command can carry it
     except (ValueError, TypeError) as error:
         raise ValueError(
             "parameter ~%s: %r cannot be written as %s (%s): correct it in the launch file"
@@ -56,7 +57,7 @@ def wire_text(key, value):
 
 
 def wanted_texts(parameters):
-    """{bare name: wire text} of every key that is to be written.
+    """Return {bare name: wire text} of all keys to write.
 
     parameters: {bare name: value}, all written whatever their value; names that are not keys are skipped.  ValueError
     on a bad value.
@@ -66,19 +67,19 @@ def wanted_texts(parameters):
 
 
 def setup_writes(texts, session_id):
-    """All configuration writes after a connection, in order: list of ("section:name", wire text).
+    """Return all configuration writes after a connection, in order: list of ("section:name", wire text).
 
-    texts: of wanted_texts.  session_id: 8 hexadecimal digits, new for every run.
+    texts: from wanted_texts.  session_id: 8 hexadecimal digits, new for every run.
     """
     writes = [
-        ("general:navdata_demo", texts["navdata_demo"]),  # what makes an aircraft leave its bootstrap state
+        ("general:navdata_demo", texts["navdata_demo"]),  # makes the aircraft leave its bootstrap state
         ("custom:session_id", "-all"),
         ("custom:profile_id", "-" + USER_ID),
         ("custom:application_id", "-" + APPLICATION_ID),
         ("custom:session_id", session_id),
         ("custom:profile_id", USER_ID),
         ("custom:application_id", APPLICATION_ID),
-        # From here on the ids that precede each write are those in force: the aircraft ignores others
+        # From here on the ids sent before each write are the active ones: the aircraft ignores writes with other ids
         ("custom:session_desc", "session %s" % session_id),
         ("custom:profile_desc", APPLICATION_NAME),
         ("custom:application_desc", "%s:%s" % (APPLICATION_NAME, config.SDK_VERSION)),

@@ -25,7 +25,7 @@ Packet = namedtuple("Packet", "data received_s")  # bytes of one navdata packet;
 
 
 def resolve(host):
-    """IPv4 address of a host name or address. ValueError with the cure when there is none."""
+    """Return the IPv4 address of a host name or address. Raises ValueError that says how to fix it."""
     try:
         return socket.gethostbyname(host)
     except OSError as error:
@@ -39,16 +39,16 @@ class UdpThread:
 
     address: IPv4 address of the vehicle, which has the standard ports.
     report: function (level, text).
-    on_packet: called in the thread with every newest Packet; must be short.
+    on_packet: called in the thread with every new Packet; must be short.
     on_failure: called in the thread with the exception that ended it, after the last orders (hover and land).
-    note: called in the thread with (time, DroneLink) whenever it has done its work; must be short.
-    link_options: of DroneLink.
+    note: called in the thread with (time, DroneLink) after every iteration of its loop; must be short.
+    link_options: further arguments of DroneLink.
     """
 
     def __init__(self, address, report, on_packet, on_failure, note=lambda now_s, link: None, **link_options):
         self.address = address
         self.send_errors = 0
-        self.strangers = Strangers(report, "navdata")  # who sends, and is not the vehicle's navdata port
+        self.strangers = Strangers(report, "navdata")  # senders other than the vehicle's navdata port
         self._report = report
         self._on_packet = on_packet
         self._on_failure = on_failure
@@ -73,7 +73,7 @@ class UdpThread:
 
     @property
     def foreign(self):
-        """Datagrams from elsewhere than the vehicle's navdata port."""
+        """Number of datagrams that did not come from the vehicle's navdata port."""
         return self._door.refused
 
     def start(self):
@@ -81,13 +81,13 @@ class UdpThread:
         self._thread.start()
 
     def post(self, order, *arguments):
-        """Hand an order to the thread: a method of `link`; it is called with the arguments and the time."""
+        """Hand an order (a method of `link`) to the thread, which calls it with the arguments and the time."""
         self._mailbox.append((order, arguments))
         with contextlib.suppress(OSError):  # the bell already rings, or is closed: the node is shutting down
             self._bell_in.send(b"\0")
 
     def begin_to_stop(self):
-        """Hover, land if flying; obey nothing from now on."""
+        """Hover, land if flying; ignore all orders from now on."""
         if self._thread.is_alive():
             self.post(self._close)
 
@@ -119,17 +119,17 @@ class UdpThread:
     def _run(self):
         try:
             self._loop()
-        except Exception as error:  # whatever it is: nothing pilots without this thread, the node must end
+        except Exception as error:  # any failure: nothing pilots without this thread, the node must end
             self._give_last_orders()
             self._on_failure(error)
 
     def _give_last_orders(self):
-        """Hover and land, as far as that still works; several times, because the radio loses datagrams."""
+        """Try to send hover and land; several times, because the radio loses datagrams."""
         try:
             for _ in range(LAST_ORDERS):
                 self.link.send_last_orders()
                 time.sleep(TICK_S)
-        except Exception as error:  # the failure that led here is the one to hand on
+        except Exception as error:  # report it; the failure that led here is passed to on_failure
             self._report("error", "the last orders could not be given: %r" % error)
 
     def _loop(self):

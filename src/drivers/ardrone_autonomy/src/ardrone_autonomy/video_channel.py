@@ -1,47 +1,47 @@
 """Which of the two cameras a picture comes from. Pure: no clock of its own.
 
 The header does not name the camera, but the stream id changes with it (and with the codec, which the header does name).
-An order to change takes a while; until the stream id changes pictures come from the old camera.
+A change of camera takes a while after the order; until the stream id changes, pictures come from the old camera.
 """
 
 import threading
 
 CHANNELS = 2
 FRONT, BOTTOM = range(CHANNELS)
-SETTLE_S = 1.0  # an order has had its effect by then, whether the stream id has shown it or not
+SETTLE_S = 1.0  # an order has taken effect by then, even if the stream id has not shown it
 
 
 class CameraTracker:
-    """Knows the camera of every picture. The methods may be called from different threads."""
+    """Determines the camera of every picture. The methods may be called from different threads."""
 
     def __init__(self, channel=FRONT):
         self._lock = threading.Lock()
         self._camera = channel  # None: unknown
         self._ordered = channel  # the last order
-        self._ordered_s = float("-inf")  # when that was
+        self._ordered_s = float("-inf")  # time of the last order
         self._pending = 0  # orders whose effect has not been seen
         self._connection = None
         self._stream_id = None
         self._codec = None
 
     def order(self, channel, now_s):
-        """The vehicle is being told to send this channel, FRONT or BOTTOM. now_s: on the clock of `camera`."""
+        """Note that the vehicle is ordered to send this channel, FRONT or BOTTOM. now_s: same clock as in `camera`."""
         with self._lock:
             self._ordered = channel
             self._ordered_s = now_s
             self._pending += 1
 
     def reset(self, channel):
-        """The vehicle has been configured again and sends this channel; earlier orders no longer count."""
+        """Note that the vehicle was configured again and sends this channel; earlier orders no longer count."""
         with self._lock:
             self._ordered = self._camera = channel
             self._pending = 0
 
     def camera(self, header, is_idr, connection, now_s):
-        """FRONT or BOTTOM, or None while that cannot be known, for about SETTLE_S and until the next IDR.
+        """Return FRONT or BOTTOM, or None while the camera is unknown, for about SETTLE_S and until the next IDR.
 
-        That is so when the stream was opened right after an order, and after several orders in a row, of which the
-        aircraft may have skipped some.
+        It is unknown when the stream was opened right after an order, and after several orders in a row, because the
+        aircraft may have skipped some of them.
         header: PaveHeader of the picture.  connection: number of the TCP connection, any hashable.
         """
         with self._lock:

@@ -1,8 +1,8 @@
 """Exposure time of a picture on our clock, from the aircraft's millisecond clock. Pure: no clock of its own.
 
-A picture is received some time after its exposure: encoding, radio and TCP, which is never less than a certain latency
-and now and then much more, when the radio stalls and several pictures come at once.  The header carries the time of the
-aircraft, so per picture
+A picture is received some time after its exposure, because of encoding, radio and TCP. This delay has a minimum (the
+latency) and is sometimes much larger, when the radio stalls and several pictures arrive at once.  The header carries
+the time of the aircraft, so per picture
 
     offset = received - aircraft's time = difference of the clocks + latency + (time that the picture was held up, >= 0)
 
@@ -13,14 +13,14 @@ and the least offset belongs to the pictures that were not held up.  With it,
 has the jitter of the aircraft's clock (1 ms) instead of the network's.  The least offset rises by MAX_DRIFT per second,
 so that it can follow an aircraft whose clock is slower than ours; a faster one lowers it by itself.
 
-The latency cannot be seen from here.  Without it (0) the result is the time at which the picture would have been
-received had nothing held it up; with it, the time of exposure.
+The latency cannot be measured here.  Without it (0) the result is the time at which the picture would have been
+received if nothing had held it up; with it, the time of exposure.
 """
 
 MAX_DRIFT = 3e-4  # [s/s] crystals stay well below
-HELD_UP_S = 0.05  # a picture further above the least offset does not support it
-# Without support for longer: the aircraft's clock has been set back, or was stopped. That is rare; a network or a
-# computer that is too busy for seconds is not, and must not move the pictures.
+HELD_UP_S = 0.05  # a picture whose offset is further above the least offset does not support it
+# After this long without support the aircraft's clock was set back or stopped. That is rare; a network or computer that
+# is too busy for seconds is common, and must not shift the stamps.
 PATIENCE_S = 30.0
 LEAST_STEP_S = 1e-3  # between two results: the resolution of the aircraft's clock
 
@@ -28,7 +28,7 @@ _WRAP_MS = 1 << 32
 
 
 class ExposureClock:
-    """Feed every picture that arrives, also those that are not shown.
+    """Estimates exposure times. Must be fed every picture that arrives, including those that are not shown.
 
     latency_s: from exposure to reception when nothing holds the picture up [s], >= 0.
     """
@@ -39,12 +39,12 @@ class ExposureClock:
         self._timestamp_ms = None  # of the last picture
         self._elapsed_ms = 0  # aircraft's time since the first picture, without wrap
         self._last_received_s = 0.0
-        self._offset_s = 0.0  # the least
+        self._offset_s = 0.0  # the least offset
         self._unsupported = None  # (since when, least offset since then)
         self._last_s = float("-inf")  # newest result
 
     def exposure_s(self, timestamp_ms, received_s):
-        """Time of exposure on the clock of received_s, at most received_s - latency_s.
+        """Return the time of exposure on the clock of received_s, at most received_s - latency_s.
 
         timestamp_ms: of the PaVE header, wraps at 2**32.  received_s: monotonic, not decreasing.  The results
         increase from picture to picture, unless the pictures arrive in less than LEAST_STEP_S.

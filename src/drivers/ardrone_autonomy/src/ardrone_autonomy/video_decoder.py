@@ -1,10 +1,10 @@
-"""Pictures of the video stream -> RGB. One picture in, at most one out, nothing is held back. No sockets, no ROS.
+"""Decodes the pictures of the video stream to RGB. One picture in, at most one out, none delayed. No sockets, no ROS.
 
-H.264 is what an AR.Drone 2.0 sends; while it records to its USB key it sends MPEG-4 part 2.
+An AR.Drone 2.0 sends H.264; while it records to its USB key it sends MPEG-4 part 2.
 
-What cannot be shown whole is not shown at all: after a gap in the frame numbers or a damaged picture the decoder would
-go on, with smears where the missing one had changed something, and any measurement in the pictures would be of
-smears.  So it waits for the next key picture, which decodes by itself, as it does when it joins in the middle.
+Incomplete pictures are not shown at all: after a gap in the frame numbers or a damaged picture a decoder would go on
+with smears where the missing picture had changed something, and measurements in such pictures would be wrong.  So
+decoding waits for the next key picture, which decodes by itself, as it does when it joins in the middle.
 """
 
 import contextlib
@@ -22,21 +22,21 @@ _DECODERS = {Codec.MPEG4_AVC: "h264", Codec.MPEG4_VISUAL: "mpeg4"}
 
 
 def is_key(header):
-    """Whether a picture (its PaveHeader) decodes by itself, and those that follow need nothing from before it."""
+    """Whether a picture (its PaveHeader) decodes by itself, and the following ones need nothing from before it."""
     return header.frame_type == FrameType.IDR or (
         header.codec == Codec.MPEG4_VISUAL and header.frame_type == FrameType.I
     )
 
 
 class PictureDecoder:
-    """Decodes the Packets of one stream after the other; a new stream id, codec or size restarts it."""
+    """Decodes the Packets of a stream in order; a new stream id, codec or size restarts the decoder."""
 
     def __init__(self):
         self.decoded = 0  # pictures
         self.errors = 0  # damaged pictures
-        self.unusable = 0  # valid, but something that they build upon is missing
+        self.unusable = 0  # valid pictures of which a reference picture is missing
         self.missing = 0  # pictures that the aircraft or the network has left out
-        self.foreign = 0  # pictures of a codec that is neither
+        self.foreign = 0  # pictures of another codec
         self.waiting = True  # for a key picture
         self._context = None
         self._headers = None  # payload of the newest picture headers of this stream
@@ -45,10 +45,10 @@ class PictureDecoder:
         self._frame_number = None
 
     def decode(self, packet, convert=True):
-        """The picture as (height, width, 3) uint8 array, R G B, cropped to the display size; None when there is none.
+        """Return the picture as (height, width, 3) uint8 array, R G B, cropped to the display size; None without one.
 
-        packet: protocol.video.Packet of a whole picture.  convert=False: None as well; the picture is decoded only
-        because the next ones build upon it.
+        packet: protocol.video.Packet of a whole picture.  convert=False: return None as well; the picture is decoded
+        only because the next ones depend on it.
         """
         header = packet.header
         if header.codec not in _DECODERS:
@@ -81,7 +81,7 @@ class PictureDecoder:
         return self._rgb(frame, header) if convert else None
 
     def pass_over(self, header):
-        """Leave out the picture of this PaveHeader: it is not missing, but what follows waits for a key picture."""
+        """Skip the picture of this PaveHeader: it does not count as missing, but decoding waits for a key picture."""
         self.waiting = True
         if self._frame_number is not None:
             self._frame_number = header.frame_number + 1
@@ -90,20 +90,20 @@ class PictureDecoder:
         _, codec, _ = self._stream
         self._context = av.CodecContext.create(_DECODERS[codec], "r")
         self._context.flags |= Flags.low_delay
-        self._context.thread_count = 1  # more would hold pictures back, and the other core has its own work
+        self._context.thread_count = 1  # more threads would delay pictures, and the other cores are busy
         self._context.options = {"max_pixels": "%d" % MAX_PIXELS}
         self._reformatter = VideoReformatter()
 
     def _feed_headers(self, payload):
         self._headers = payload
-        with contextlib.suppress(av.FFmpegError):  # "no picture in it", which is true; what it holds is remembered
+        with contextlib.suppress(av.FFmpegError):  # "no picture in it", as expected; the decoder keeps the headers
             self._context.decode(av.Packet(payload))
 
     def _decode(self, payload, header):
-        """Frame of this very picture; None when it is damaged.
+        """Return the frame of this picture; None when it is damaged.
 
-        Damaged parameters may tell the decoder to hold pictures back, which it then does for good, also after valid
-        ones: every picture would be an older one. Such a decoder is replaced.
+        Damaged parameters may make the decoder delay its output permanently, even after valid ones: it would then
+        return an older picture each time. Such a decoder is replaced.
         """
         packet = av.Packet(payload)
         packet.pts = packet.dts = header.frame_number

@@ -1,6 +1,6 @@
 """The TCP connection to the vehicle's video and the thread that owns it: bytes in, pictures out.
 
-Connects only while pictures are wanted.  Comes back by itself when the vehicle closes the connection, is not
+Connects only while pictures are wanted.  Reconnects by itself when the vehicle closes the connection, is not
 reachable, or sends nothing that can be shown.
 """
 
@@ -21,9 +21,9 @@ RETRY_S = 1.0  # between two attempts to connect
 CONNECT_TIMEOUT_S = 3.0
 SILENCE_S = 3.0  # a connection on which nothing arrives for this long is given up
 UNUSABLE_S = 10.0  # so is one whose pictures cannot be decoded; the next key picture may take some seconds
-MAX_BACKLOG = 4  # pictures that may wait; of more only the newest are shown
-_READ_BYTES = 1 << 20  # at once, before decoding
-# Linux stamps what arrives when it arrives, not when a busy computer reads it; Python has no names for these.
+MAX_BACKLOG = 4  # pictures that may wait; if there are more, only the newest ones are shown
+_READ_BYTES = 1 << 20  # read at once, before decoding
+# Linux stamps data on arrival, not when a busy computer reads it; Python has no names for these constants.
 _SO_TIMESTAMPNS = _SCM_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@qq")
 _STAMP_AGE_MAX_S = 1.0  # older: the clock was set in between
@@ -55,7 +55,7 @@ class VideoStream:
         self.connected = False
         self.wanted = False  # pictures are wanted
         self.shown = 0  # pictures handed out
-        self.skipped = 0  # pictures that were valid, but too many at once
+        self.skipped = 0  # valid pictures that were not shown because too many arrived at once
         self.last_s = None  # when the last picture was received
         self.clock = ExposureClock(latency_s)
         self.parser = StreamParser()
@@ -67,8 +67,8 @@ class VideoStream:
         self._now_s = clock
         self._said = None  # the last warning: it is not repeated with every attempt
         self._socket = None
-        self._heard_s = 0.0  # when the connection was made, or its last packet came
-        self._decoded_s = 0.0  # when the connection was made, or its last picture could be decoded
+        self._heard_s = 0.0  # when the connection was made or the last packet arrived
+        self._decoded_s = 0.0  # when the connection was made or the last picture was decoded
         self._stopping = False
         self._changed = threading.Event()  # wanted or _stopping
         self._thread = threading.Thread(target=self._run, name="ardrone_video", daemon=True)
@@ -78,7 +78,7 @@ class VideoStream:
         self._thread.start()
 
     def want(self, wanted):
-        """Whether pictures are wanted from now on; may be called from any thread, as often as one likes."""
+        """Set whether pictures are wanted; may be called from any thread, repeatedly."""
         if wanted != self.wanted:
             self._change(wanted)
 
@@ -106,7 +106,7 @@ class VideoStream:
                 return
             try:
                 problem = self._stream() if self.wanted else ""
-            except Exception as error:  # whatever it is: the vehicle flies without pictures, and they may come back
+            except Exception as error:  # any failure: the vehicle flies without pictures, and they may come back
                 problem = ""
                 self._say("error", "the video failed and is restarting: %r" % error)
             if problem and self.wanted:
@@ -120,7 +120,7 @@ class VideoStream:
             self._report(level, text)
 
     def _stream(self):
-        """Receive until pictures are no longer wanted or something is wrong, which is returned ("" = nothing)."""
+        """Receive until pictures are no longer wanted or a problem occurs; return the problem ("" = none)."""
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as sock:
             self._socket = sock
             try:
@@ -143,7 +143,7 @@ class VideoStream:
                 self._socket = None
 
     def _receive(self, sock, foreign_before):
-        """Show whatever arrives, see _stream. foreign_before: pictures of other codecs before this connection."""
+        """Receive and show pictures, see _stream. foreign_before: count of `decoder.foreign` before this connection."""
         while self.wanted and not self._stopping:
             sock.settimeout(max(self._heard_s + SILENCE_S - self._now_s(), 1e-3))
             data, extras, _, _ = sock.recvmsg(_READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
@@ -189,7 +189,7 @@ class VideoStream:
 
 
 def _age_s(extras):
-    """For how long [s] the last byte of a read had been there; 0 when nothing tells. extras: of socket.recvmsg."""
+    """Time [s] since the last byte of a read arrived; 0 if unknown. extras: ancillary data of socket.recvmsg."""
     for level, kind, data in extras:
         if (level, kind) == (socket.SOL_SOCKET, _SCM_TIMESTAMPNS) and len(data) >= _TIMESPEC.size:
             whole_s, rest_ns = _TIMESPEC.unpack_from(data)

@@ -28,13 +28,13 @@ class CameraInfoManager:
     namespace: of the service set_camera_info, which takes a calibration and saves it under the URL.
 
     Call loadCameraInfo once, before getCameraInfo. A camera without a file, or with a malformed one (one error is
-    logged), is not calibrated: its CameraInfo is empty. CameraInfoError for a name that is not allowed.
+    logged), is not calibrated: its CameraInfo is empty. Raises CameraInfoError for an invalid name.
     """
 
     def __init__(self, cname="camera", url="", namespace=""):
         if not urls.is_valid_name(cname):
             raise CameraInfoError("the camera name %r must consist of letters, digits and underscores" % cname)
-        self._lock = threading.Lock()  # the service is called in a thread of its own
+        self._lock = threading.Lock()  # the service is called in its own thread
         self._name = cname
         self._url = url
         self._info = None  # CameraInfo, None before it is loaded
@@ -49,26 +49,26 @@ class CameraInfoManager:
         return "[%s] calibration of %s at %s" % (self._namespace, self._name, self._url or urls.DEFAULT_URL)
 
     def getCameraInfo(self):
-        """CameraInfo (a copy) without header; empty when not calibrated. CameraInfoMissingError before it is loaded."""
+        """Copy of CameraInfo without header; empty if not calibrated. CameraInfoMissingError before loading."""
         with self._lock:
             if self._info is None:
                 raise CameraInfoMissingError("the calibration of %s is not loaded: call loadCameraInfo" % self._name)
             return copy.deepcopy(self._info)
 
     def getCameraName(self):
-        """The name of the camera."""
+        """Return the name of the camera."""
         return self._name
 
     def getURL(self):
-        """The URL as it was given, variables not replaced."""
+        """Return the URL as it was given, variables not replaced."""
         return self._url
 
     def isCalibrated(self):
-        """Whether a calibration is known. CameraInfoMissingError before it is loaded."""
+        """Whether the camera is calibrated. CameraInfoMissingError before loading."""
         return self.getCameraInfo().K[0] != 0.0
 
     def loadCameraInfo(self):
-        """Read the calibration of the URL. Whatever is wrong is logged once; the camera is not calibrated then."""
+        """Read the calibration from the URL. A problem is logged once; the camera is then not calibrated."""
         with self._lock:
             self._info = CameraInfo()
             try:
@@ -76,7 +76,7 @@ class CameraInfoManager:
                 calibration = read_calibration(path)
             except ValueError as error:
                 if isinstance(error.__cause__, FileNotFoundError):
-                    log = rospy.logwarn if self._url.strip() else rospy.loginfo  # the default was not asked for
+                    log = rospy.logwarn if self._url.strip() else rospy.loginfo  # no warning for the default URL
                     log("camera %s is not calibrated: no file %s", self._name, path)
                 else:
                     rospy.logerr("camera %s is not calibrated: %s", self._name, error)
@@ -88,9 +88,9 @@ class CameraInfoManager:
             self._info = _message(calibration)
 
     def setCameraInfo(self, request):
-        """Callback of the service: take the calibration of a SetCameraInfoRequest and save it.
+        """Callback of the service: use the calibration of a SetCameraInfoRequest and save it.
 
-        The answer says whether it could be saved; it is used in any case.
+        The response says whether it could be saved; it is used in any case.
         """
         with self._lock:
             self._info = copy.deepcopy(request.camera_info)
@@ -105,7 +105,7 @@ class CameraInfoManager:
             return SetCameraInfoResponse(success=True, status_message="saved in %s" % path)
 
     def setCameraName(self, cname):
-        """Another name; False (and no change) when it is not allowed. The calibration has to be loaded again."""
+        """Change the name; False (and no change) if it is invalid. The calibration must be loaded again."""
         if not urls.is_valid_name(cname):
             return False
         with self._lock:
@@ -114,7 +114,7 @@ class CameraInfoManager:
         return True
 
     def setURL(self, url):
-        """Another URL; False (and no change) when it names no file. The calibration has to be loaded again."""
+        """Change the URL; False (and no change) if it names no file. The calibration must be loaded again."""
         try:
             urls.path_of(url, self._name)
         except ValueError:

@@ -1,4 +1,4 @@
-"""Where a calibration lies: file:///PATH, package://PACKAGE/PATH, with ${NAME} and ${ROS_HOME}."""
+"""URLs of calibration files: file:///PATH, package://PACKAGE/PATH, with ${NAME} and ${ROS_HOME}."""
 
 import re
 
@@ -10,14 +10,14 @@ DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
 
 
 def is_valid_name(name):
-    """A camera's name has letters, digits and underscores only."""
+    """Whether a camera name consists of letters, digits and underscores only."""
     return re.fullmatch("[A-Za-z0-9_]+", name) is not None
 
 
 def path_of(url, name):
-    """Path of the file that a URL names for a camera of this name; ValueError when it names none.
+    """Return the path of the file that a URL names for a camera of this name; ValueError if it names none.
 
-    The file need not exist, but a package must.
+    The file need not exist, but the package must.
     """
     resolved = url.strip() or DEFAULT_URL
     for variable, value in (("${NAME}", name), ("${ROS_HOME}", rospkg.get_ros_home())):

@@ -1,1 +1,1 @@
-"""Linux joystick to sensor_msgs/Joy. `events` is pure; `device` talks to the kernel; the node ties them to ROS."""
+"""Linux joystick to sensor_msgs/Joy. `device_records` is pure; `device` uses the kernel; the node ties them to ROS."""

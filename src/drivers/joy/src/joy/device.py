@@ -1,4 +1,4 @@
-"""The kernel's side of a joystick: device files, names, rumble. No ROS.
+"""Kernel interface of a joystick: device files, names, rumble. No ROS.
 
 Anything that yields the same 8-byte records can be read, e.g. a FIFO; it has no name and no rumble.
 """
@@ -15,8 +15,8 @@ _EV_FF = 0x15
 _FF_RUMBLE = 0x50
 _FF_GAIN = 0x60
 _RUMBLE_LENGTH_MS = 1000
-# struct ff_effect of 64-bit kernels: type, id, direction, trigger (2), length and delay [ms], then of a rumble its
-# strong and its weak motor; other effects need the rest.
+# struct ff_effect of 64-bit kernels: type, id, direction, trigger (2), length and delay [ms], then for a rumble the
+# strong and the weak motor; the rest is for other effects.
 _FF_EFFECT = struct.Struct("=HhHHHHH2xHH28x")
 _EVIOCSFF = 0x40004580 | _FF_EFFECT.size << 16  # _IOC(write, 'E', 0x80, size)
 _INPUT_EVENT = struct.Struct("@llHHi")  # struct input_event: time (ignored when written), type, code, value
@@ -36,7 +36,7 @@ def open_device(path):
     """Open a joystick for reading without blocking; returns the file descriptor. Raises OSError."""
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if stat.S_ISCHR(os.fstat(fd).st_mode):
-        # The first opening announces the values of the last closing; the second one the true ones.
+        # The first opening announces the values of the last closing; the second one announces the current values.
         os.close(fd)
         fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     return fd
@@ -48,7 +48,7 @@ def find_by_name(name, pattern="/dev/input/js*"):
         try:
             fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         except OSError:
-            continue  # unplugged meanwhile, or not ours to read
+            continue  # unplugged meanwhile, or no permission to read
         try:
             if device_name(fd) == name:
                 return path
@@ -63,7 +63,7 @@ class Rumble:
     def __init__(self, path, ioctl=fcntl.ioctl):
         self._ioctl = ioctl
         self._fd = os.open(path, os.O_RDWR)
-        self._effect = -1  # the kernel's number of our effect: a new one
+        self._effect = -1  # the kernel's id of our effect; -1 asks for a new one
         self._motors = [0, 0]
         try:
             self._write(_FF_GAIN, 0xFFFF)
@@ -72,7 +72,7 @@ class Rumble:
             raise
 
     def set(self, intensities):
-        """Intensity in [0, 1] by motor: {0: strong, 1: weak}; motors that are not named keep theirs."""
+        """Set the intensity in [0, 1] by motor: {0: strong, 1: weak}; other motors keep theirs."""
         for motor, intensity in intensities.items():
             self._motors[motor] = int(0xFFFF * intensity)
         buffer = bytearray(_FF_EFFECT.pack(_FF_RUMBLE, self._effect, 0, 0, 0, _RUMBLE_LENGTH_MS, 0, *self._motors))

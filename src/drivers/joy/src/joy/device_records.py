@@ -29,29 +29,29 @@ class JoyEvent(NamedTuple):
 
 
 class RecordReader:
-    """Cuts a byte stream into records; a read may end in the middle of one."""
+    """Cuts a byte stream into records; a read may end in the middle of a record."""
 
     def __init__(self):
         self._rest = b""
 
     def feed(self, data):
-        """Bytes as they were read -> list of the `JoyEvent`s that are complete."""
+        """Add bytes; return the list of complete `JoyEvent`s."""
         data = self._rest + data
         whole = len(data) - len(data) % _RECORD.size
         self._rest = data[whole:]
         return [JoyEvent(*record[1:]) for record in _RECORD.iter_unpack(data[:whole])]
 
 
-# How soon an event wants to be published: of no known type; within coalesce_interval, with what else moves; at once.
+# How soon an event must be published. NEVER: unknown type; SOON: within coalesce_interval, with other events; NOW.
 Urgency = enum.Enum("Urgency", "NEVER SOON NOW")
 
 
 @dataclass(frozen=True)
 class JoySettings(Settings):
-    """Parameters of joy_node, to be used after `checked`."""
+    """Parameters of joy_node. Use the result of `checked`."""
 
     dev: str = "/dev/input/js0"
-    dev_name: str = ""  # when given, the first joystick with this name
+    dev_name: str = ""  # if set, the first joystick with this name is used
     dev_ff: str = "/dev/input/event0"  # event device for rumble
     deadzone: float = 0.05  # [-] fraction of full scale that reads as 0
     autorepeat_rate: float = 0.0  # [Hz] 0: publish on change only
@@ -60,7 +60,7 @@ class JoySettings(Settings):
     sticky_buttons: bool = False  # True: a press toggles the button, a release does nothing
 
     def checked(self):
-        """Settings inside their ranges, and one sentence for each value that had to be changed or looks wrong."""
+        """Return the settings within their ranges, and one sentence for each value that was changed or looks wrong."""
         fraction = self.deadzone / _FULL_SCALE if self.deadzone >= 1.0 else self.deadzone
         used = {
             "deadzone": min(max(fraction, 0.0), _DEADZONE_MAX),
@@ -83,7 +83,7 @@ class JoySettings(Settings):
 
 
 class JoyState:
-    """Axes and buttons as they stand; the arrays grow to the highest number that the device has named."""
+    """Current axes and buttons; the arrays grow to the highest number that the device has reported."""
 
     def __init__(self, settings):
         self.axes = []  # floats in [-1, 1], left and up positive
@@ -91,15 +91,15 @@ class JoyState:
         self._settings = settings
 
     def axis_value(self, raw):
-        """Raw -32767..32767 -> [-1, 1]: dead zone taken off towards zero, the rest stretched, left and up positive."""
+        """Scale raw -32767..32767 to [-1, 1]: subtract the dead zone, stretch the rest; left and up positive."""
         dead = _FULL_SCALE * self._settings.deadzone
         beyond = max(abs(raw) - dead, 0.0)
         scaled = beyond / (_FULL_SCALE - dead)
         return -math.copysign(min(scaled, 1.0), raw) if beyond else 0.0
 
     def apply(self, event):
-        """Take one event over; returns its `Urgency`."""
-        kind, is_initial = event.type & ~_INIT, event.type & _INIT  # the latter of the kernel's records after opening
+        """Apply one event to the state; return its `Urgency`."""
+        kind, is_initial = event.type & ~_INIT, event.type & _INIT  # is_initial: announces the state after opening
         if kind == _BUTTON:
             self._grow(self.buttons, event.number, 0)
             if not self._settings.sticky_buttons:
@@ -109,7 +109,7 @@ class JoyState:
             return Urgency.SOON if is_initial else Urgency.NOW
         if kind == _AXIS:
             self._grow(self.axes, event.number, 0.0)
-            # Triggers announce 0 until first touched, which would read as half pressed: keep 0 unless told otherwise.
+            # Triggers announce 0 until first touched, which would read as half pressed: keep 0 unless default_trig_val.
             if not is_initial or self._settings.default_trig_val:
                 self.axes[event.number] = self.axis_value(event.value)
             return Urgency.SOON
@@ -121,7 +121,7 @@ class JoyState:
 
 
 class PublishClock:
-    """Decides when the state goes out: at once, after the coalesce interval, or as a repetition.
+    """Decides when to publish the state: at once, after the coalesce interval, or as a repetition.
 
     Times are seconds of any clock that never steps.
     """
@@ -130,10 +130,10 @@ class PublishClock:
         self._coalesce_s = settings.coalesce_interval
         self._repeat_s = 1.0 / settings.autorepeat_rate if settings.autorepeat_rate > 0.0 else math.inf
         self._is_pending = False  # events are being coalesced
-        self._due_s = None  # when they, or the next repetition, go out; None: that has to be found
+        self._due_s = None  # when they or the next repetition are published; None: not determined yet
 
     def event(self, urgency, now_s):
-        """An event came in: True when the state must be published now."""
+        """Note an event; return True when the state must be published now."""
         if urgency == Urgency.SOON and not self._is_pending:
             self._is_pending, self._due_s = True, now_s + self._coalesce_s
         return urgency == Urgency.NOW
@@ -143,11 +143,11 @@ class PublishClock:
         return self.wait_s(now_s, math.inf) == 0.0
 
     def published(self, now_s):
-        """The state went out: everything pending went with it."""
+        """Note that the state was published, including all pending events."""
         self._is_pending, self._due_s = False, now_s + self._repeat_s
 
     def wait_s(self, now_s, longest_s):
-        """How long to wait for the next event, [0, longest_s]."""
+        """Return how long to wait for the next event, in [0, longest_s]."""
         if self._due_s is None:
             self._due_s = now_s + self._repeat_s
         return min(max(self._due_s - now_s, 0.0), longest_s)

@@ -1,1 +1,1 @@
-"""MAVLink to ROS and back. `autopilot` and `orders` decide, without sockets, clock or ROS; `ros` ties it to topics."""
+"""MAVLink to ROS and back. `autopilot` and `orders` hold the logic, without sockets, clock or ROS; `ros` the topics."""

@@ -1,11 +1,11 @@
 """The bridge's side of the link to one autopilot: a state machine without sockets, clock or ROS.
 
-What happens is told to it with the time of a monotonic clock: the device was opened or lost, bytes came, orders were
-given, time passes (`poll`, every TICK_S). It answers through a function that sends bytes.
+All inputs carry the time of a monotonic clock: device opened or lost, bytes received, orders given, time passing
+(`poll`, every TICK_S). The output is a function that sends bytes.
 
-One vehicle: the component 1 of the first system that sends the heartbeat of a vehicle, until the program ends. Other
+One vehicle: component 1 of the first system that sends the heartbeat of a vehicle, until the program ends. Other
 systems (ground stations, a second vehicle) and other components of the same system (gimbals, cameras, the telemetry
-radio) are not listened to.
+radio) are ignored.
 """
 
 import math
@@ -18,22 +18,22 @@ from roscopter.streams import Streams
 from roscopter.texts import Texts
 from roscopter.wire import Encoder, FrameReader, version_of
 
-TICK_S = 0.05  # [s] of `poll`
-HEARTBEAT_S = 1.0  # of ours
-LOST_S = 3.0  # of silence after which the autopilot counts as lost: three heartbeats
-PATIENCE_S = 5.0  # with a vehicle that has not been heard yet
-RELEASES, RELEASE_S = 5, 0.1  # how often, and how far apart, channels are given back: the radio loses packets
+TICK_S = 0.05  # [s] period of `poll`
+HEARTBEAT_S = 1.0  # period of our heartbeat
+LOST_S = 3.0  # silence after which the autopilot counts as lost: three heartbeats
+PATIENCE_S = 5.0  # until a warning that no vehicle has been heard yet
+RELEASES, RELEASE_S = 5, 0.1  # how often, and how far apart, a release of the channels is sent: the radio loses packets
 LAST_WORDS = 5  # for the same reason
 STOP_S, STOP_PERIOD_S = 2.0, 0.1  # how long and how often motors are ordered to stop
-STOPS = 5  # at least, even if a heartbeat says that the vehicle is disarmed: an order to arm may be on its way
-REBOOT_MS = 1000  # by which the time since its start must fall
-REPEAT_S = 60.0  # until the same warning comes again
-SWITCH_STALE_S = 1.0  # the pilot's switch is taken for off when the channels are older
+STOPS = 5  # at least, even if a heartbeat reports the vehicle disarmed: an order to arm may still be on its way
+REBOOT_MS = 1000  # a reboot is assumed if the time since start falls by more than this
+REPEAT_S = 60.0  # until the same warning is repeated
+SWITCH_STALE_S = 1.0  # the pilot's switch counts as off when the channels are older
 SWITCH_ON_US = 1500
-RELEASED, UNCHANGED = 0, 65535  # of a channel in RC_CHANNELS_OVERRIDE
+RELEASED, UNCHANGED = 0, 65535  # special values of a channel in RC_CHANNELS_OVERRIDE
 _CHANNELS = tuple("chan%d_raw" % k for k in range(1, 9))
 _LEAST_US, _MOST_US = 800, 2200
-_LEVELS = ((1, "fatal"), (3, "error"), (4, "warn"), (6, "info"), (255, "debug"))  # up to this severity of STATUSTEXT
+_LEVELS = ((1, "fatal"), (3, "error"), (4, "warn"), (6, "info"), (255, "debug"))  # (STATUSTEXT severity up to, level)
 _EVERYONE = (0, 0)  # target system and component
 _VEHICLE_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _ROVERS = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
@@ -41,7 +41,7 @@ _FAILSAFE_MODE = {"ArduCopter": "LAND", "ArduRover": "HOLD"}
 
 
 class Autopilot:
-    """Everything that is decided about one link.
+    """The logic of one link.
 
     options: Options.  write: function of bytes, which must not raise.
     report: function (level, text), level "debug", "info", "warn", "error" or "fatal".
@@ -53,17 +53,17 @@ class Autopilot:
         self.reader = FrameReader()
         self._texts, self._streams = Texts(), Streams(options.mavlink_rate)
 
-        self.version = 1  # of MAVLink: every autopilot understands 1 and, where it can, answers in 2
+        self.version = 1  # of MAVLink: every autopilot understands 1, and answers in 2 if it can
         self.target = None  # (system, component) of the vehicle
-        self.is_open = False  # the device is
+        self.is_open = False  # the device is open
         self.is_connected = False  # the vehicle is heard
         self.is_armed = False
         self.mode = ""
         self.counts = dict.fromkeys(("messages", "lost messages", "reconnects", "reboots", "refused send_rc"), 0)
-        self.heartbeat_s = None  # when the newest came
+        self.heartbeat_s = None  # time of the newest heartbeat
         self.is_overriding = False
         self._heard_s = -math.inf
-        self._strangers = set()  # systems that are not listened to
+        self._strangers = set()  # systems that are ignored
         self._sequence = None
         self._boot_ms = None
 
@@ -76,8 +76,8 @@ class Autopilot:
         self._override_s = -math.inf
         self._releases, self._next_release_s = 0, 0.0
         self._switch_s, self._is_switched_on = -math.inf, False
-        self._ignoring, self._ignoring_s = "", -math.inf  # why send_rc was not obeyed, as last reported, and when
-        self._has_channels = -math.inf  # when RC_CHANNELS came, which has all that RC_CHANNELS_RAW has
+        self._ignoring, self._ignoring_s = "", -math.inf  # last reported reason why send_rc was ignored, and when
+        self._has_channels = -math.inf  # time of the last RC_CHANNELS, which includes all of RC_CHANNELS_RAW
 
         self._fed_s, self._next_watch_s = -math.inf, -math.inf
         self._has_run_out = self._owes_failsafe = False
@@ -88,24 +88,24 @@ class Autopilot:
 
     # --- the link -----------------------------------------------------------------------------------------------------
     def opened(self, now_s):
-        """The device was opened."""
+        """Note that the device was opened."""
         if self._opened_s == math.inf:
-            self._fed_s = now_s  # from the start on, once: a device that comes and goes does not feed the watchdog
+            self._fed_s = now_s  # at the first opening only: reopening the device does not feed the watchdog
         self.is_open, self._opened_s = True, now_s
         self._next_heartbeat_s = now_s
         self.poll(now_s)
 
     def closed(self, now_s):
-        """The device was lost."""
+        """Note that the device was lost."""
         self.is_open = self.is_connected = False
         self._end_orders(self._why_deaf())
 
     def missing_streams(self):
-        """Names of the telemetry streams that do not come."""
+        """Return the names of the missing telemetry streams."""
         return self._streams.missing() if self.is_connected else []
 
     def send_last_words(self):
-        """For the end, to be called LAST_WORDS times: channels are given back, an emergency stop goes on."""
+        """Release the channels and continue an emergency stop. To be called LAST_WORDS times at the end."""
         if self._stop_until_s > -math.inf:
             self._send("command_long", **orders.KILL)
         if self.is_overriding or self._releases:
@@ -124,11 +124,11 @@ class Autopilot:
 
     # --- from the vehicle -----------------------------------------------------------------------------------------
     def receive(self, data, now_s):
-        """Bytes from the device -> list of the vehicle's messages in them that are for topics."""
+        """Handle bytes from the device; return the list of the vehicle's messages to publish."""
         return [message for message in self.reader.feed(data, now_s) if self._takes(message, now_s)]
 
     def _takes(self, message, now_s):
-        """Whether a message is of the vehicle, and none that says again what another has said."""
+        """Handle a message; return whether it is from the vehicle and does not repeat another message."""
         kind = message.get_type()
         if (message.get_srcSystem(), message.get_srcComponent()) != self.target:
             if kind != "HEARTBEAT" or not self._meets(message):
@@ -142,14 +142,14 @@ class Autopilot:
         self._streams.note(kind)
         handle = self._HANDLERS.get(kind)
         is_new = handle is None or handle(self, message, now_s) is not False
-        if getattr(message, "target_system", 0) in (0, self._options.source_system):  # not another ground station's
+        if getattr(message, "target_system", 0) in (0, self._options.source_system):  # not for another ground station
             for order, _ in self._running():
                 order.on_message(message, now_s)
             self._end_finished()
         return is_new
 
     def _meets(self, heartbeat):
-        """Whether a heartbeat is the first of our vehicle, which is taken then."""
+        """Whether a heartbeat is the first one of a vehicle, which then becomes our target."""
         system = heartbeat.get_srcSystem()
         is_vehicle = (
             heartbeat.get_srcComponent() == _VEHICLE_COMPONENT
@@ -182,7 +182,7 @@ class Autopilot:
     def _count(self, sequence):
         self.counts["messages"] += 1
         lost = 0 if self._sequence is None else (sequence - self._sequence - 1) % 256
-        if lost < 128:  # else it is one that was late or came twice
+        if lost < 128:  # else the message was late or a duplicate
             self.counts["lost messages"] += lost
         self._sequence = sequence
 
@@ -222,7 +222,7 @@ class Autopilot:
 
     def _on_raw_channels(self, message, now_s):
         if now_s - self._has_channels < LOST_S or message.port:
-            return False  # the same again, or channels 9 to 16
+            return False  # repeats RC_CHANNELS, or has channels 9 to 16
         return self._look_at_switch(message, now_s)
 
     def _look_at_switch(self, message, now_s):
@@ -247,11 +247,11 @@ class Autopilot:
 
     # --- orders -------------------------------------------------------------------------------------------------------
     def begin(self, order, on_end, now_s):
-        """Carry out an Order; on_end is called with its Outcome. A newer one takes the place of one that runs."""
+        """Carry out an Order; on_end is called with its Outcome. A newer order replaces a running one."""
         self._replace("_order", order, on_end, now_s)
 
     def send_mission(self, items, on_end, now_s):
-        """Make `orders.Item`s the mission; none: clear it."""
+        """Make `orders.Item`s the mission; an empty list clears it."""
         step_s = self._options.waypoint_timeout / 1000.0
         home = orders.Item(
             mavlink.MAV_CMD_NAV_WAYPOINT,
@@ -264,7 +264,7 @@ class Autopilot:
 
     def _replace(self, place, order, on_end, now_s):
         self._end(place, orders.Outcome(False, "%s was ordered meanwhile" % order.what))
-        if self._why_deaf():  # an autopilot that has fallen silent may still hear
+        if self._why_deaf():  # not if the autopilot has only fallen silent: it may still receive
             on_end(self._told(order, orders.Outcome(False, self._why_deaf())))
         elif now_s < self._stop_until_s and place == "_order":
             on_end(self._told(order, orders.Outcome(False, "the motors are being stopped")))
@@ -274,7 +274,7 @@ class Autopilot:
             self._end_finished()
 
     def _why_deaf(self):
-        """Why no order reaches the autopilot, as far as we know."""
+        """Return why no order can reach the autopilot; "" if none is known."""
         if not self.is_open:
             return "%s is not there" % self._options.device
         return "" if self.target else "no autopilot has been heard yet"
@@ -308,7 +308,7 @@ class Autopilot:
 
     # --- the channels of the remote control -----------------------------------------------------------------------
     def override(self, channels, posted_s, now_s):
-        """Eight values of RC_CHANNELS_OVERRIDE, [us], RELEASED or UNCHANGED. posted_s: when they came to us."""
+        """Send RC_CHANNELS_OVERRIDE. channels: eight of [us], RELEASED or UNCHANGED. posted_s: when they arrived."""
         if now_s - posted_s > self._options.rc_timeout / 1000.0:
             why = "they have waited too long for the device"
         else:
@@ -320,7 +320,7 @@ class Autopilot:
                 self._ignoring, self._ignoring_s = why, now_s
             return
         channels = list(channels)
-        if self._options.enable_autonomous_control:  # the pilot's switch must stay the pilot's
+        if self._options.enable_autonomous_control:  # the pilot's switch must not be overridden
             channels[self._options.autonomous_channel_id - 1] = UNCHANGED
         self._send("rc_channels_override", **dict(zip(_CHANNELS, channels)))
         self.is_overriding, self._override_s, self._releases = True, now_s, 0
@@ -344,7 +344,7 @@ class Autopilot:
         return ""
 
     def release(self, now_s):
-        """Give all channels back to the pilot's radio. Nothing is sent when they may not be taken either."""
+        """Return all channels to the pilot's radio. Sends nothing if overriding is not enabled."""
         if not self._options.enable_rc_control:
             return
         self.is_overriding = False
@@ -359,7 +359,7 @@ class Autopilot:
 
     # --- watchdog and emergency stop ----------------------------------------------------------------------------------
     def feed_watchdog(self, is_well, now_s):
-        """A message on the topic `watchdog`; false: it has run out."""
+        """Handle a message on the topic `watchdog`; is_well false: the watchdog runs out at once."""
         self._fed_s = now_s if is_well else -math.inf
         if is_well and self._has_run_out:
             self._has_run_out = self._owes_failsafe = False

@@ -1,7 +1,7 @@
 """The device and the one thread that owns it. No ROS.
 
 Other threads never touch the device or the Autopilot: they `post` orders into a mailbox and wake the thread, which
-otherwise sleeps until bytes come or TICK_S has passed.
+otherwise sleeps until bytes arrive or TICK_S has passed.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ from risc_lab.strangers import Strangers
 from roscopter import transport
 from roscopter.autopilot import LAST_WORDS, TICK_S, Autopilot
 
-RETRY_S = 1.0  # until a device that cannot be opened is tried again
+RETRY_S = 1.0  # between attempts to open the device
 LAST_SPACING_S = 0.02  # between the last packets
 JOIN_S = 3.0
 
@@ -24,8 +24,8 @@ JOIN_S = 3.0
 class Link:
     """Runs an Autopilot on a real device.
 
-    options: Options.  report: function (level, text).  on_message: called in the thread with each of the vehicle's
-    messages; must be short.  on_failure: called in the thread with the exception that ended it.
+    options: Options.  report: function (level, text).  on_message: called in the thread with each message of the
+    vehicle; must be short.  on_failure: called in the thread with the exception that ended it.
     """
 
     def __init__(self, options, report, on_message, on_failure):
@@ -35,8 +35,8 @@ class Link:
         self.strangers = Strangers(report, options.device)
         self.counts = {"received bytes": 0, "sent bytes": 0, "not sent": 0, "times opened": 0}
         self._device, self._reopen_s = None, 0.0
-        self._has_complained = False  # of a device that is not there; one line is enough until something was received
-        self._is_mute = False  # nothing has been received since it was opened
+        self._has_complained = False  # about a missing device; not logged again until something was received
+        self._is_mute = False  # nothing has been received since the device was opened
         self._mailbox, self._is_over = deque(), False
         self._bell_in, self._bell_out = socket.socketpair()
         for bell in (self._bell_in, self._bell_out):
@@ -44,17 +44,17 @@ class Link:
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
 
     def start(self):
-        """Open the device, and look for the vehicle."""
+        """Start to open the device and look for the vehicle."""
         self._thread.start()
 
     def post(self, order, *arguments):
-        """Hand an order to the thread: a method of `autopilot`; it is called with the arguments and the time."""
+        """Hand an order (a method of `autopilot`) to the thread, which calls it with the arguments and the time."""
         self._mailbox.append((order, arguments))
         with contextlib.suppress(OSError):  # the bell already rings, or the node is shutting down
             self._bell_in.send(b"\0")
 
     def stop(self):
-        """Give overridden channels back, and close the device."""
+        """Return overridden channels to the pilot's radio, and close the device."""
         self._is_over = True
         self.post(lambda _now_s: None)
         if self._thread.is_alive():
@@ -63,10 +63,10 @@ class Link:
     def _run(self):
         try:
             self._loop()
-        except Exception as error:  # whatever it is: nobody would hear the vehicle any more
+        except Exception as error:  # any failure: without this thread nothing receives the vehicle's messages
             self._on_failure(error)
         finally:
-            with contextlib.suppress(Exception):  # of a device that is gone, or of what has just failed
+            with contextlib.suppress(Exception):  # the device may be gone, or the same failure may occur again
                 self._send_last_words()
             self._close()
 
@@ -105,7 +105,7 @@ class Link:
             self._complain("cannot open %s (%s); trying again every second" % (device, _reason(error)))
             self._reopen_s = time.monotonic() + RETRY_S
             return
-        if not self._is_mute:  # else it is opened and lost in turns
+        if not self._is_mute:  # else it is opened and lost again and again
             self._report("info", "opened %s" % device)
             self._has_complained = False
         self._is_mute = True
@@ -144,7 +144,7 @@ class Link:
         try:
             is_sent = self._device.write(data)
         except OSError:
-            is_sent = False  # reading tells that the device is gone
+            is_sent = False  # reading will detect that the device is gone
         self.counts["sent bytes" if is_sent else "not sent"] += len(data) if is_sent else 1
 
     def _close(self):

@@ -2,11 +2,11 @@
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-_OF_2014 = {8: "POSITION", 10: "OF_LOITER"}  # of the copters of that time; later ones have no such numbers
+_OF_2014 = {8: "POSITION", 10: "OF_LOITER"}  # modes of copters of 2014; later firmware does not have these numbers
 
 
 def _named(enum):
-    """{number: name} of one of the dialect's enumerations."""
+    """Return {number: name} of one of the dialect's enumerations."""
     prefix = enum + "_"
     entries = {number: entry.name.removeprefix(prefix) for number, entry in mavlink.enums[enum].items()}
     return {number: name for number, name in entries.items() if name != "ENUM_END"}
@@ -16,7 +16,7 @@ MODES = {"ArduCopter": {**_OF_2014, **_named("COPTER_MODE")}, "ArduRover": _name
 
 
 def mode_number(vehicle_type, name):
-    """Of a mode by its name. Raises ValueError when vehicles of this type have none."""
+    """Return the number of a mode by its name. Raises ValueError if vehicles of this type do not have it."""
     for number, known in MODES[vehicle_type].items():
         if known == name:
             return number
@@ -24,7 +24,7 @@ def mode_number(vehicle_type, name):
 
 
 def mode_name(vehicle_type, heartbeat):
-    """Text of the mode that a HEARTBEAT tells, as pymavlink has it."""
+    """Return the name of the mode in a HEARTBEAT, as pymavlink writes it."""
     if not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return "Mode(0x%08x)" % heartbeat.base_mode
     return MODES[vehicle_type].get(heartbeat.custom_mode, "Mode(%d)" % heartbeat.custom_mode)

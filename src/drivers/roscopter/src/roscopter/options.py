@@ -12,31 +12,31 @@ _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 @dataclass(frozen=True)
 class Options(Settings):
-    """Of driver.py, under its names; `_` for `-`."""
+    """Options of driver.py, under the same names with `_` for `-`."""
 
     device: Name = "/dev/ttyACM0"  # see transport
     baudrate: between(1, 10_000_000) = 115200  # [baud] of a serial device
-    vehicle_name: str = ""  # begins each line of the log
-    type: typing.Literal["ArduCopter", "ArduRover"] = "ArduCopter"  # whose numbers modes have
-    rate: Positive = 1000.0  # taken and not used: the driver waits for bytes, it does not poll
-    mavlink_rate: between(1, 200) = 10  # [Hz] asked of the autopilot
-    source_system: between(1, 255) = 255  # our number: autopilots obey only that of their parameter SYSID_MYGCS
+    vehicle_name: str = ""  # prefix of each line of the log
+    type: typing.Literal["ArduCopter", "ArduRover"] = "ArduCopter"  # defines the numbers of the modes
+    rate: Positive = 1000.0  # accepted but not used: the driver waits for bytes, it does not poll
+    mavlink_rate: between(1, 200) = 10  # [Hz] requested from the autopilot
+    source_system: between(1, 255) = 255  # our number: autopilots obey only the one in their parameter SYSID_MYGCS
     enable_rc_control: bool = False  # send_rc becomes RC_CHANNELS_OVERRIDE
     rc_timeout: between(1, 60_000) = 500  # [ms] of silence on send_rc after which the channels are released
     enable_waypoint_control: bool = True  # waypoint and waypoint_list are obeyed
     launch_altitude: Count = 10_000  # [mm]
     minimum_waypoint_altitude: int = 5_000  # [mm] a lower waypoint is refused
-    maximum_altitude: int = 50_000  # [mm] so is a higher one
+    maximum_altitude: int = 50_000  # [mm] a higher waypoint is refused
     waypoint_timeout: Count = 500  # [ms] for an answer while a mission is sent
-    arm_timeout: Count = 10_000  # [ms] until the autopilot tells that it has armed or disarmed
-    launch_timeout: Count = 15_000  # [ms] until it has taken the order to take off
-    mode_timeout: Count = 1_000  # [ms] until it tells the new mode
+    arm_timeout: Count = 10_000  # [ms] until the autopilot reports that it has armed or disarmed
+    launch_timeout: Count = 15_000  # [ms] until it has accepted the order to take off
+    mode_timeout: Count = 1_000  # [ms] until it reports the new mode
     enable_watchdog: bool = False  # overrides need `true` on the topic watchdog
-    max_watchdog_time: Positive = 3.0  # [s] for as long as it counts
-    watchdog_rate: Positive = 1.0  # [Hz] how often that is looked at
+    max_watchdog_time: Positive = 3.0  # [s] how long a `true` is valid
+    watchdog_rate: Positive = 1.0  # [Hz] how often that is checked
     enable_ros_failsafe: bool = False  # land (a rover: hold) when the watchdog runs out
-    enable_autonomous_control: bool = False  # a switch of the pilot's radio gives the channels to send_rc
-    autonomous_channel_id: between(5, 8) = 6  # number of its channel
+    enable_autonomous_control: bool = False  # send_rc is obeyed only while a switch of the pilot's radio is on
+    autonomous_channel_id: between(5, 8) = 6  # channel number of that switch
 
     def __post_init__(self):
         super().__post_init__()
@@ -52,7 +52,7 @@ class Options(Settings):
             )
 
 
-# of roscopter_node.py: name, field above, default
+# options of roscopter_node.py: name, field above, default
 _OF_NODE = (
     ("baudrate", "baudrate", 57600),
     ("device", "device", "/dev/ttyUSB0"),
@@ -64,12 +64,12 @@ _OF_DRIVER = tuple((field.name.replace("_", "-"), field.name, field.default) for
 
 
 def driver_options(arguments):
-    """(`Options`, ignored arguments) of driver.py. Raises SystemExit, with a line on stderr that says what is wrong."""
+    """Return (`Options`, ignored arguments) of driver.py. Raises SystemExit, after a line on stderr with the fault."""
     return _parse(_OF_DRIVER, arguments)
 
 
 def node_options(arguments):
-    """The same of roscopter_node.py, which has fewer, and other defaults."""
+    """Like driver_options for roscopter_node.py, which has fewer options and other defaults."""
     return _parse(_OF_NODE, arguments)
 
 

@@ -1,6 +1,6 @@
 """Orders to an autopilot, each from the first message to its outcome. No ROS, no sockets, no clock.
 
-An order sends, sends again what is not answered, and ends with an `Outcome`. `Autopilot` (autopilot.py) hands it the
+An order sends, resends while there is no answer, and ends with an `Outcome`. `Autopilot` (autopilot.py) passes it the
 messages of the vehicle and the time of a monotonic clock.
 """
 
@@ -9,47 +9,47 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-RESEND_S = 0.5  # without an answer
-MISSION_TRIES = 5  # of one step of a mission
-HEARTBEATS_S = 2.5  # what a heartbeat must confirm has time for two of them, whatever the option says
-EXPLANATION_S = 0.5  # the texts that say why an autopilot refuses come after its answer
+RESEND_S = 0.5  # time without an answer until an order is resent
+MISSION_TRIES = 5  # for each step of a mission
+HEARTBEATS_S = 2.5  # least timeout of orders that a heartbeat must confirm: enough for two heartbeats
+EXPLANATION_S = 0.5  # an autopilot sends the texts that explain a refusal after its answer
 _WARNING = mavlink.MAV_SEVERITY_WARNING
 _FORCE = 21196  # magic number of MAV_CMD_COMPONENT_ARM_DISARM: without any check
 
 
 class Outcome(NamedTuple):
-    """How an order has ended."""
+    """Result of an order."""
 
     is_done: bool
-    why: str = ""  # it was not
+    why: str = ""  # reason if it was not done
 
 
 def _name(enum, number):
-    """The dialect's name of a number, e.g. DENIED for 2 of MAV_RESULT."""
+    """Return the dialect's name of a number, e.g. DENIED for 2 of MAV_RESULT."""
     entry = mavlink.enums[enum].get(number)
     return entry.name.removeprefix(enum + "_") if entry else "%s %d" % (enum, number)
 
 
 class Order:
-    """Base of them: when to send again, when to give up, and what the autopilot says meanwhile."""
+    """Base class of orders: when to resend, when to give up, and which texts the autopilot sends meanwhile."""
 
     def __init__(self, what, timeout_s, resend_s=RESEND_S):
-        """what: for the log, e.g. "arm"."""
+        """what: name for the log, e.g. "arm"."""
         self.what = what
-        self.outcome = None  # of type Outcome once it has ended
+        self.outcome = None  # an Outcome once the order has ended
         self._timeout_s, self._resend_s = timeout_s, resend_s
         self._texts = []
         self._refusal = ""
-        self._send = None  # it has not begun
-        self._is_taken = False  # the autopilot has said yes: it is not asked again
+        self._send = None  # None: not begun
+        self._is_taken = False  # the autopilot has accepted the order: it is not resent
 
     @property
     def longest_s(self):
-        """After this time it has ended, one way or the other."""
+        """Time [s] after which the order has ended in any case."""
         return self._timeout_s + EXPLANATION_S
 
     def begin(self, send, now_s):
-        """Send it. send: function (name of a MAVLink message, its fields but for the target)."""
+        """Begin the order. send: function (name of a MAVLink message, its fields except the target)."""
         self._send = send
         self._deadline_s = now_s + self._timeout_s
         self._next_s = now_s
@@ -69,12 +69,12 @@ class Order:
             self._ask()
 
     def on_text(self, severity, text):
-        """A STATUSTEXT."""
+        """Handle a STATUSTEXT."""
         if severity <= _WARNING and text not in self._texts:
             self._texts.append(text)
 
     def on_message(self, message, now_s):
-        """A message of the vehicle."""
+        """Handle a message of the vehicle."""
         if self.outcome is None and not self._refusal:
             self._hear(message, now_s)
 
@@ -92,7 +92,7 @@ class Order:
 
 
 class _Acknowledged(Order):
-    """An order that a COMMAND_ACK answers, and, where there is `_is_seen`, a heartbeat confirms."""
+    """An order that is answered by a COMMAND_ACK and, if `_is_confirmed_by_heartbeat`, confirmed by a heartbeat."""
 
     _answers = ()  # numbers in COMMAND_ACK
     _is_confirmed_by_heartbeat = True
@@ -121,12 +121,12 @@ class _Acknowledged(Order):
 
 
 class Command(_Acknowledged):
-    """COMMAND_LONG until its COMMAND_ACK."""
+    """Sends COMMAND_LONG until its COMMAND_ACK."""
 
     _is_confirmed_by_heartbeat = False
 
     def __init__(self, what, number, parameters, timeout_s):
-        """parameters: up to seven, the rest are 0."""
+        """parameters: up to seven; the others are 0."""
         super().__init__(what, timeout_s)
         self._number, self._answers, self._tries = number, (number,), 0
         values = [*parameters] + [0.0] * (7 - len(parameters))
@@ -138,7 +138,7 @@ class Command(_Acknowledged):
 
 
 class Arm(Command):
-    """Arm or disarm, until a heartbeat tells it."""
+    """Arms or disarms, until a heartbeat confirms it."""
 
     _is_confirmed_by_heartbeat = True
 
@@ -152,7 +152,7 @@ class Arm(Command):
 
 
 class SetMode(_Acknowledged):
-    """SET_MODE until a heartbeat tells the mode."""
+    """Sends SET_MODE until a heartbeat reports the mode."""
 
     _answers = (mavlink.MAVLINK_MSG_ID_SET_MODE, mavlink.MAV_CMD_DO_SET_MODE)
 
@@ -169,7 +169,7 @@ class SetMode(_Acknowledged):
 
 
 class Sequence(Order):
-    """Orders one after the other, as long as each is carried out."""
+    """Orders one after the other; ends when one fails."""
 
     def __init__(self, what, orders):
         super().__init__(what, sum(order.longest_s for order in orders))
@@ -200,17 +200,17 @@ class Sequence(Order):
 
 
 def is_armed(heartbeat):
-    """Whether a HEARTBEAT tells that."""
+    """Whether a HEARTBEAT reports the vehicle as armed."""
     return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def take_off(altitude_m, timeout_s):
-    """Order to take off, in guided mode."""
+    """Return the Order to take off, in guided mode."""
     return Command("take off", mavlink.MAV_CMD_NAV_TAKEOFF, [0, 0, 0, 0, 0, 0, altitude_m], timeout_s)
 
 
 def land(timeout_s):
-    """Order to land here."""
+    """Return the Order to land here."""
     return Command("land", mavlink.MAV_CMD_NAV_LAND, [], timeout_s)
 
 
@@ -227,7 +227,7 @@ KILL = {  # fields of the COMMAND_LONG that stops the motors, wherever the vehic
 
 
 class Item(NamedTuple):
-    """One of a mission."""
+    """One item of a mission."""
 
     command: int
     param1: float = 0.0
@@ -241,12 +241,12 @@ class Item(NamedTuple):
 
 
 def longest_mission_s(items, step_s):
-    """The longest that sending a mission of so many items, or clearing it, may take. step_s: time for each answer."""
-    return (items + 3) * MISSION_TRIES * step_s + EXPLANATION_S  # the home position, their number, the last answer
+    """Longest time [s] for sending a mission of this many items, or clearing it. step_s: time for each answer."""
+    return (items + 3) * MISSION_TRIES * step_s + EXPLANATION_S  # 3: home position, item count, last answer
 
 
 class _MissionOrder(Order):
-    """Its answers: those of the mission proper, not of fences or rally points."""
+    """Order about the mission; ignores answers about fences and rally points."""
 
     def __init__(self, what, step_s):
         super().__init__(what, math.inf, step_s)
@@ -266,7 +266,7 @@ class _MissionOrder(Order):
             return
         is_answer = message.get_type() == "MISSION_ACK"
         if is_answer and message.type == mavlink.MAV_MISSION_INVALID_SEQUENCE:
-            return  # of an item that was sent twice, because its request or the item was late
+            return  # for an item that was sent twice, because its request or the item was late
         if is_answer and message.type != mavlink.MAV_MISSION_ACCEPTED:
             self._refused("the autopilot answers " + _name("MAV_MISSION_RESULT", message.type), now_s)
         else:
@@ -280,13 +280,13 @@ class _MissionOrder(Order):
 
 
 class SendMission(_MissionOrder):
-    """Upload: the autopilot is told how many items there are, and asks for one after the other."""
+    """Uploads a mission: sends the number of items, then each item when the autopilot requests it."""
 
     def __init__(self, items, step_s):
-        """items: the first is the home position, which autopilots keep as number 0.  step_s: time for each answer."""
+        """items: the first is the home position, which autopilots keep as item 0.  step_s: time for each answer."""
         super().__init__("mission of %d item(s)" % (len(items) - 1), step_s)
         self._items = items
-        self._asked_for = None  # (number of the newest item that was, whether as MISSION_ITEM_INT)
+        self._asked_for = None  # (number of the item last requested, whether as MISSION_ITEM_INT)
 
     def _ask_step(self):
         if self._asked_for is None:
@@ -332,7 +332,7 @@ class SendMission(_MissionOrder):
 
 
 class ClearMission(_MissionOrder):
-    """Make the autopilot's mission empty."""
+    """Clears the autopilot's mission."""
 
     def __init__(self, step_s):
         super().__init__("clear the mission", step_s)

@@ -1,11 +1,11 @@
-"""Telemetry streams: which are asked for, and which do not come. No ROS, no clock."""
+"""Telemetry streams: which to request, and which are missing. No ROS, no clock."""
 
 import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-# Only what becomes a topic: a telemetry radio of 57600 baud does not carry everything at 10 Hz.
-_SIGNS = {  # stream: a message of it that each vehicle has
+# Only streams that become topics: a telemetry radio of 57600 baud does not carry all streams at 10 Hz.
+_SIGNS = {  # stream: a message of it that every vehicle sends
     mavlink.MAV_DATA_STREAM_RAW_SENSORS: ("RAW_IMU",),
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: ("SYS_STATUS",),
     mavlink.MAV_DATA_STREAM_RC_CHANNELS: ("RC_CHANNELS", "RC_CHANNELS_RAW"),
@@ -14,9 +14,9 @@ _SIGNS = {  # stream: a message of it that each vehicle has
     mavlink.MAV_DATA_STREAM_EXTRA2: ("VFR_HUD",),
 }
 _STREAM_OF = {sign: stream for stream, signs in _SIGNS.items() for sign in signs}
-LOWEST_HZ = {mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: 2}  # the battery, whatever the option says
-_FIRST_S, _LONGEST_S = 2.0, 16.0  # until a stream that does not come is asked for again; doubled each time
-_ENOUGH = 0.5  # of the rate: a radio that is too slow makes autopilots send less, and asking would not help
+LOWEST_HZ = {mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: 2}  # the battery, even if the option is lower
+_FIRST_S, _LONGEST_S = 2.0, 16.0  # until a missing stream is requested again; doubled each time
+_ENOUGH = 0.5  # fraction of the rate: autopilots send less over a slow radio, and requesting again would not help
 
 
 class _Stream:
@@ -33,7 +33,7 @@ class _Stream:
         self._count += 1
 
     def wants(self, now_s):
-        """Whether it is to be asked for now."""
+        """Whether to request the stream now."""
         if now_s < self._due_s:
             return False
         elapsed_s = now_s - self._since_s
@@ -45,28 +45,28 @@ class _Stream:
 
 
 class Streams:
-    """Asks for each stream until it comes."""
+    """Says which streams to request: each one until it arrives."""
 
     def __init__(self, rate_hz):
         self._streams = {number: _Stream(number, rate_hz) for number in _SIGNS}
 
     def restart(self, now_s):
-        """The autopilot is new, or back, or restarted: nothing is known."""
+        """Treat all streams as missing: the autopilot is new, back, or has rebooted."""
         for stream in self._streams.values():
             stream.restart(now_s)
 
     def note(self, message_type):
-        """A message of the vehicle came."""
+        """Count a message of the vehicle."""
         number = _STREAM_OF.get(message_type)
         if number is not None:
             self._streams[number].note()
 
     def wanted(self, now_s):
-        """[(stream, rate [Hz])] to ask for now."""
+        """Return [(stream, rate [Hz])] to request now."""
         return [(stream.number, stream.rate_hz) for stream in self._streams.values() if stream.wants(now_s)]
 
     def missing(self):
-        """Names of those that do not come."""
+        """Return the names of the missing streams."""
         names = mavlink.enums["MAV_DATA_STREAM"]
         return [
             names[stream.number].name.removeprefix("MAV_DATA_STREAM_")

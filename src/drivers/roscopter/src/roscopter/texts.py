@@ -1,19 +1,19 @@
 """STATUSTEXT: long texts come in pieces."""
 
-_PIECE = 50  # characters in a full one
+_PIECE = 50  # characters in a full piece
 
 
 class Texts:
-    """Puts the pieces of texts together again."""
+    """Joins the pieces of texts."""
 
     def __init__(self):
         self._id, self._severity, self._pieces = 0, 0, []
 
     def add(self, message):
-        """A STATUSTEXT -> list of (severity, text) that are complete."""
+        """Add a STATUSTEXT; return the list of complete (severity, text)."""
         complete = []
         if self._pieces and (message.id != self._id or message.chunk_seq != len(self._pieces)):
-            complete += self.flush()  # its end is lost
+            complete += self.flush()  # the end of the previous text is lost
         if not message.id:
             return [*complete, (message.severity, message.text)]
         self._id, self._severity = message.id, message.severity
@@ -23,6 +23,6 @@ class Texts:
         return complete
 
     def flush(self):
-        """What there is of a text whose end does not come."""
+        """Return the received pieces of a text whose end is missing, as list of (severity, text)."""
         pieces, self._pieces = self._pieces, []
         return [(self._severity, "".join(pieces))] if pieces else []

@@ -1,7 +1,7 @@
-"""Devices that MAVLink comes through: serial lines, UDP, TCP. They never wait, and say what is wrong by OSError.
+"""Devices for MAVLink: serial lines, UDP, TCP. They do not block, and raise OSError on failure.
 
-pymavlink's own (mavutil) wait and print, hide what cannot be sent, and a listening one sends to everybody who has ever
-sent anything.
+Those of pymavlink (mavutil) block and print, hide failures to send, and a listening one sends to every address that has
+ever sent anything.
 """
 
 import contextlib
@@ -16,13 +16,13 @@ import serial
 from risc_lab.strangers import OneSender
 
 FORMS = "a serial device such as /dev/ttyUSB0, or udpin:HOST:PORT:VEHICLE, udpout:HOST:PORT, tcp:HOST:PORT"
-CONNECT_S = 1.0  # the longest that opening a TCP connection holds up everything else
+CONNECT_S = 1.0  # the longest time that opening a TCP connection may block the thread
 _MOST_BYTES = 65536
 _NETWORK = re.compile(r"(?:(udpin|udp):([^:]*):(\d+)(?::([^:]+))?|(udpout|tcp):([^:]*):(\d+))")
 
 
 def check(device):
-    """Raises ValueError when a text names no device."""
+    """Raise ValueError if a text is not a valid device."""
     network = _network(device)
     if network and not 0 < network[1][1] < 65536 or not network and re.match(r"\w+:", device):
         raise ValueError("invalid device %r: use %s" % (device, FORMS))
@@ -32,9 +32,9 @@ def check(device):
 
 
 def open_device(device, baudrate, strangers=None):
-    """Open one. Raises OSError, and ValueError for a baud rate that a serial line has not.
+    """Open a device. Raises OSError, and ValueError for a baud rate that serial lines do not support.
 
-    strangers: risc_lab.strangers.Strangers, for those who speak to a port that listens and are not the vehicle.
+    strangers: risc_lab.strangers.Strangers, for senders to a listening port that are not the vehicle.
     """
     network = _network(device)
     if network is None:
@@ -53,7 +53,7 @@ def _is_loopback(host):
 
 
 def _network(device):
-    """(kind, address to open, vehicle's host or None) of a text; None when it names no such device."""
+    """Return (kind, address to open, vehicle's host or None) of a network device; None for other texts."""
     match = _NETWORK.fullmatch(device)
     if match is None:
         return None
@@ -62,14 +62,14 @@ def _network(device):
 
 
 class _Stream:
-    """Takes bytes one after another. A frame that it has taken the begin of is completed before the next: half of one
-    would swallow those that follow.
+    """A byte stream. A partly written frame is completed before the next one: an incomplete frame would corrupt those
+    that follow.
     """
 
     _rest = b""
 
     def write(self, data):
-        """Whether it takes them, at once or the end of them later. What it takes nothing of is lost."""
+        """Write bytes; return False if nothing was accepted (they are lost). The end may be written later."""
         try:
             if self._rest:
                 self._rest = self._rest[self._put(self._rest) :]
@@ -87,12 +87,12 @@ class Serial(_Stream):
     def __init__(self, path, baudrate):
         try:
             self._port = serial.Serial(path, baudrate, timeout=0, exclusive=True)
-        except termios.error as error:  # which is not an OSError: it was unplugged while it was opened
+        except termios.error as error:  # not an OSError: it was unplugged while it was being opened
             raise OSError(*error.args) from error
         self.fileno = self._port.fileno
 
     def read(self):
-        """Bytes, and where they came from."""
+        """Return (bytes, source address or None)."""
         data = os.read(self._port.fileno(), _MOST_BYTES)
         if not data:
             raise OSError("it was unplugged")
@@ -102,7 +102,7 @@ class Serial(_Stream):
         return os.write(self._port.fileno(), data)
 
     def answer_to(self, source):
-        """The vehicle is there: where its messages come from."""
+        """Send to this source from now on: the vehicle's messages come from there."""
 
     def close(self):
         with contextlib.suppress(OSError):
@@ -118,7 +118,7 @@ class _Socket:
     def read(self):
         try:
             return self._socket.recv(_MOST_BYTES), None
-        except (BlockingIOError, ConnectionRefusedError):  # of UDP: nobody listens there yet
+        except (BlockingIOError, ConnectionRefusedError):  # the latter from UDP: no program listens there yet
             return b"", None
 
     def write(self, data):
@@ -135,7 +135,7 @@ class _Socket:
 
 
 class UdpClient(_Socket):
-    """Sends to one address and hears what comes from there."""
+    """Sends to one address and receives from there only."""
 
     def __init__(self, address):
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -147,16 +147,16 @@ class UdpClient(_Socket):
         super().__init__(sock)
 
     def write(self, data):
-        with contextlib.suppress(OSError):  # a network that is gone comes back, and the socket serves again
+        with contextlib.suppress(OSError):  # when the network is back, the socket works again
             return super().write(data)
         return False
 
 
 class UdpServer(_Socket):
-    """Hears the vehicle, which sends to one address, and answers it.
+    """Listens on one address to the vehicle, and answers it.
 
-    A vehicle that is not named, on a loopback address, is the first that is heard, and stays it as long as the port is
-    open.
+    If no vehicle is named (allowed on a loopback address), the first one heard is taken, and kept as long as the port
+    is open.
     """
 
     def __init__(self, address, vehicle, strangers):

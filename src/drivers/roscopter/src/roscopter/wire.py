@@ -1,7 +1,7 @@
 """MAVLink frames, of versions 1 and 2: bytes to messages and back. No ROS, no sockets.
 
-Messages and checksums are pymavlink's. Frames are cut out here: pymavlink's parser throws away what a damaged length
-byte names, up to 280 bytes of sound frames, and waits for as many when the link goes on slowly.
+Messages and checksums are pymavlink's. Frames are cut out here: after a damaged length byte pymavlink's parser discards
+up to 280 bytes of valid frames, and on a slow link waits until these bytes have arrived.
 """
 
 from pymavlink.dialects.v10 import ardupilotmega as version_1
@@ -13,29 +13,29 @@ _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _OVERHEAD = {_MAGIC_1: 8, _MAGIC_2: 12}  # bytes of a frame besides its payload
 _ID_AT = {_MAGIC_1: 5, _MAGIC_2: 7}
 _SIGNED, _SIGNATURE_BYTES = 0x01, 13
-PATIENCE_S = 0.5  # the rest of a frame comes within; it takes 0.05 s at 57600 baud
+PATIENCE_S = 0.5  # the rest of a frame must arrive within this time; it takes 0.05 s at 57600 baud
 
 
 def version_of(message):
-    """Version of MAVLink, 1 or 2, of the frame that a message came in."""
+    """MAVLink version (1 or 2) of the frame of a received message."""
     return 1 if message.get_msgbuf()[0] == _MAGIC_1 else 2
 
 
 class FrameReader:
-    """Cuts a stream of bytes into messages. What is damaged is skipped byte by byte: no sound frame is lost with it."""
+    """Cuts a stream of bytes into messages. Skips damaged data byte by byte, so that no valid frame is lost with it."""
 
     def __init__(self):
-        self.frames = 0  # messages that came out
-        self.skipped_bytes = 0  # that belonged to no sound frame, or to one of a message that is not known
+        self.frames = 0  # decoded messages
+        self.skipped_bytes = 0  # bytes of no valid frame, or of an unknown message
         self._rest = bytearray()
-        self._since_s = 0.0  # when the first byte of the rest came
+        self._since_s = 0.0  # when the first byte of the rest arrived
         self._decoder = version_2.MAVLink(None)
 
     def feed(self, data, now_s):
-        """Bytes, and the time of a monotonic clock -> list of the messages that are complete."""
+        """Add bytes; return the list of complete messages. now_s: monotonic clock."""
         rest, messages, start = self._rest, [], 0
         if rest and now_s - self._since_s > PATIENCE_S:
-            start = 1  # what looked like the beginning of a frame was not
+            start = 1  # the rest was not the beginning of a frame
             self.skipped_bytes += 1
         elif not rest:
             self._since_s = now_s
@@ -59,7 +59,7 @@ class FrameReader:
 
     @staticmethod
     def _length(rest, start):
-        """Of the frame that begins here, more than there is when its header is not all there; 0: none begins here."""
+        """Length of the frame that begins here, more than the available bytes if its header is incomplete; 0: none."""
         magic, there = rest[start], len(rest) - start
         overhead = _OVERHEAD.get(magic)
         if overhead is None:
@@ -83,7 +83,7 @@ class FrameReader:
 
 
 class Encoder:
-    """Makes frames, numbered one after the other."""
+    """Encodes frames with consecutive sequence numbers."""
 
     def __init__(self, system, component):
         self._packers = {
@@ -93,7 +93,7 @@ class Encoder:
         self._sequence = 0
 
     def encode(self, version, name, **fields):
-        """Bytes of a message, e.g. encode(2, "heartbeat", type=6, ...), without the extension fields of version 2."""
+        """Encode a message, e.g. encode(2, "heartbeat", type=6, ...), without the extension fields of version 2."""
         dialect, packer = self._packers[version]
         message = getattr(dialect, "MAVLink_%s_message" % name)(**fields)
         packer.seq = self._sequence

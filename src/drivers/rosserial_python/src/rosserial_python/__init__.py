@@ -1,1 +1,1 @@
-"""A micro-controller's topics in the graph. `protocol` and `link` are pure; `ports` are the lines; `ros` ties them."""
+"""Topics of a microcontroller in the graph. `protocol`, `link` are pure; `ports` opens lines; `ros` connects to ROS."""

@@ -1,4 +1,4 @@
-"""Why a line does not do what it should: the classic causes of "lost sync", told from what was seen of it. No ROS."""
+"""Diagnosis of a faulty line: finds the classic causes of "lost sync" from what was observed on it. No ROS."""
 
 import enum
 import errno
@@ -6,15 +6,15 @@ import math
 
 from rosserial_python.link import State
 
-_ANY_BYTES = 16  # in which a packet would have begun
+_ANY_BYTES = 16  # a packet would have begun within this many bytes
 _PATIENCE_S = 1.0  # for a first answer
 _RECENT_S = 10.0
-_OFTEN_S, _OFTEN = 60.0, 3  # losses within this time that are no accident
-_MANY_DAMAGED = 3  # recently
+_OFTEN_S, _OFTEN = 60.0, 3  # this many losses within this time are no accident
+_MANY_DAMAGED = 3  # within _RECENT_S
 
 
 class Cause(enum.IntEnum):
-    """As in risc_maap_msgs/SerialLink, the worst first."""
+    """Causes as in risc_maap_msgs/SerialLink, the worst first."""
 
     NONE = 0
     MISSING = 1
@@ -51,7 +51,7 @@ TEXTS = {
     Cause.DAMAGE: "corrupt packets: check the cable and the ground, look for Serial.print in the sketch, another "
     "program that reads the port, or more data than the line carries",
 }
-WARNINGS = frozenset((Cause.TYPES, Cause.SIZE, Cause.BREAKS, Cause.DAMAGE))  # the link works all the same
+WARNINGS = frozenset((Cause.TYPES, Cause.SIZE, Cause.BREAKS, Cause.DAMAGE))  # the link still works
 
 _OF_ERRNO = {
     errno.ENOENT: Cause.MISSING,
@@ -60,7 +60,7 @@ _OF_ERRNO = {
     errno.EACCES: Cause.FORBIDDEN,
     errno.EPERM: Cause.FORBIDDEN,
     errno.EBUSY: Cause.TAKEN,
-    errno.EAGAIN: Cause.TAKEN,  # of a lock
+    errno.EAGAIN: Cause.TAKEN,  # the port is locked
     errno.ECONNREFUSED: Cause.UNREACHABLE,
     errno.ECONNRESET: Cause.UNREACHABLE,
     errno.EPIPE: Cause.UNREACHABLE,
@@ -71,17 +71,17 @@ _OF_ERRNO = {
 
 
 def cause_of_error(error):
-    """`Cause` of an OSError that opening a port has met."""
+    """Return the `Cause` of an OSError raised on opening a port."""
     if isinstance(error, TimeoutError):
         return Cause.UNREACHABLE
     return _OF_ERRNO.get(error.errno, Cause.PORT_FAILED)
 
 
 def cause_of(facts, now_s, error=None, refused=(), oversized_s=-math.inf):
-    """`Cause` of what is wrong with a line.
+    """Return the `Cause` of a line's fault, NONE if there is none.
 
-    facts: link.Facts.  error: why it is not open, an OSError.  refused: topics that are.  oversized_s: when a message
-    was too large last.
+    facts: link.Facts.  error: OSError because of which the line is not open.  refused: refused topics.  oversized_s:
+    when a message was last too large.
     """
     if facts.state is State.CLOSED:
         return Cause.NONE if error is None else cause_of_error(error)

@@ -1,11 +1,11 @@
-"""The link to one device: whether it lives, when it is asked, and what goes on the line next. No ROS, no ports.
+"""The link to one device: whether it is alive, when to ask it, and what to send next. No ROS, no ports.
 
-Times are those of one clock that never steps [s]; whoever calls says what time it is. The line is an object with
-`write(data)` (returns how many bytes it took, raises OSError), `queued()` (bytes that it took and has not sent yet),
-`discard()` (forget those where that is possible) and `byte_s` (how long it takes for a byte, 0: not known).
+Times are [s] of one clock that never steps; the caller passes the current time. The line is an object with
+`write(data)` (returns the number of bytes accepted, raises OSError), `queued()` (bytes accepted but not sent yet),
+`discard()` (drop those if possible) and `byte_s` (time to send one byte, 0: unknown).
 
-A device that publishes proves that it lives. One that is quiet is asked for its topics: every device answers that at
-once, and it needs nothing else.
+A device that publishes is alive. A quiet one is asked for its topics: every device answers that at once; nothing else
+is needed.
 """
 
 import copy
@@ -18,22 +18,22 @@ from dataclasses import dataclass, field
 from rosserial_python import protocol
 from rosserial_python.protocol import Decoder, Id
 
-USUAL_SILENCE_S = 0.3  # after which a link is lost; who wants more has a device that must not be asked often
-_IN_FLIGHT_BYTES = 256  # that may wait in the kernel or for an acknowledgement when the next packet is written
-_FULL_LINE_S = 0.002  # until it is looked at again
-_WORRY_S = 0.02  # without a sound packet after a damaged one: the device is asked
-_APART_S = 0.05  # between two such questions
-_OFTEN_S, _OFTEN_SHARE = 0.02, 0.65  # between two requests to a device that was lost; at least, and of its answer
-_SAME_PROGRAM_S = 2.5  # without a sound packet: a device has the same program, as loading another one takes longer
+USUAL_SILENCE_S = 0.3  # silence after which a link is lost; a larger setting means: do not ask the device often
+_IN_FLIGHT_BYTES = 256  # no packet is written while more than this is in the kernel or not acknowledged
+_FULL_LINE_S = 0.002  # until a full line is checked again
+_WORRY_S = 0.02  # without a valid packet after damage for this long, the device is asked
+_APART_S = 0.05  # between two such requests
+_OFTEN_S, _OFTEN_SHARE = 0.02, 0.65  # between requests to a lost device: minimum; share of its answer's duration
+_SAME_PROGRAM_S = 2.5  # after a shorter silence the device has the same program: loading another takes longer
 _AGAIN_S = 0.1  # between two requests while topics are missing
-_SECOND_REQUEST_S = 1.0  # after the first announcement: one that was lost without a trace is found
-_GROOVY_EVERY = 8  # requests to a device that never answered: it may speak the old protocol
-_TIME_BYTES = len(protocol.encode(Id.TIME, bytes(8)))  # an answer begins with this
-_REPLIES = 64  # answers that may wait; a device waits for each of its own
+_SECOND_REQUEST_S = 1.0  # after the first announcement: finds announcements that were lost unnoticed
+_GROOVY_EVERY = 8  # to a device that never answered, every 8th request is also sent in the old protocol
+_TIME_BYTES = len(protocol.encode(Id.TIME, bytes(8)))  # an answer begins with a request for the time
+_REPLIES = 64  # answers that may wait to be sent; a device waits for each answer to its own requests
 
 
 class State(enum.IntEnum):
-    """As in risc_maap_msgs/SerialLink."""
+    """States as in risc_maap_msgs/SerialLink."""
 
     CLOSED = 0
     WAITING = 1
@@ -42,22 +42,22 @@ class State(enum.IntEnum):
 
 @dataclass
 class Facts:
-    """What was seen of a line."""
+    """Observations of a line."""
 
     state: State = State.CLOSED
-    waits_s: float | None = None  # since when it is open and the device does not answer
-    bytes: int = 0  # that have come since then
-    speaks_groovy: bool = False  # meanwhile
-    heard_s: float = -math.inf  # last sound packet, -inf: none yet
+    waits_s: float | None = None  # since when the line is open and the device does not answer
+    bytes: int = 0  # received since then
+    speaks_groovy: bool = False  # the old protocol was received since then
+    heard_s: float = -math.inf  # last valid packet, -inf: none yet
     lost_s: deque = field(default_factory=lambda: deque(maxlen=16))  # when the link was lost, of all openings
-    damaged_s: deque = field(default_factory=lambda: deque(maxlen=16))  # when something damaged came
+    damaged_s: deque = field(default_factory=lambda: deque(maxlen=16))  # when damaged data arrived
     counts: dict = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))  # since the start
 
 
 COUNTS = (
-    "packets",  # sound ones from the device
-    "damaged",  # begun and not sound
-    "stray bytes",  # in no packet
+    "packets",  # valid packets from the device
+    "damaged",  # packets that began and were not valid
+    "stray bytes",  # bytes outside packets
     "openings",  # of the port
     "lost",  # the device fell silent
     "requests",  # for topics
@@ -76,31 +76,31 @@ class _Waiting:
 
 
 class Link:
-    """See the module. Any thread may call; packets are returned, never handed to a callback."""
+    """See the module. Any thread may call; packets are returned, not passed to a callback."""
 
     def __init__(self, silence_s=USUAL_SILENCE_S):
         self._silence_s = silence_s
         self._lock = threading.Lock()
         self._line = self._decoder = None
-        self._answers = {}  # {(id, topic id): (bytes, hash)} of announcements: what a device answers to a request
-        self._missing = set()  # those that it made before it was lost, and not again yet
-        self._unsure = False  # something damaged came since the last request: it may have been an announcement
-        self._announced = set()  # topic ids to which messages may go
-        self._announced_before = set()  # those of a device that was lost
-        self._announced_s = None  # when the first of them was announced
-        self._asked_s = self._suspected_s = -math.inf  # last request; damage that no sound packet has followed
+        self._answers = {}  # {(id, topic id): (bytes, hash)} of the announcements with which a device answers a request
+        self._missing = set()  # keys of announcements made before the device was lost, and not repeated yet
+        self._unsure = False  # damaged data arrived since the last request: it may have been an announcement
+        self._announced = set()  # topic ids to which messages may be sent
+        self._announced_before = set()  # topic ids that were in _announced when the device was lost
+        self._announced_s = None  # when the first announcement arrived
+        self._asked_s = self._suspected_s = -math.inf  # last request; last damage without a valid packet after it
         self._asked_again = False
-        self._rest = b""  # of a packet that was begun
-        self._longest_bytes = protocol.PLAUSIBLE_BYTES  # payload
-        self._free_s = -math.inf  # when the line has sent what it was given
+        self._rest = b""  # unsent end of a packet
+        self._longest_bytes = protocol.PLAUSIBLE_BYTES  # of a payload
+        self._free_s = -math.inf  # when the line will have sent all bytes it was given
         self._replies, self._waiting = deque(maxlen=_REPLIES), {}  # packets; {topic id: _Waiting}
         self.opened_s = -math.inf
-        self.failure = None  # OSError that a write has met: the line is to be closed
+        self.failure = None  # OSError of a write: the line must be closed
         self.facts = Facts()
 
     # --- the line -------------------------------------------------------------------------------------------------
     def opened(self, line, now_s):
-        """A line was opened; asks for topics at once."""
+        """Use a line that was opened; ask for topics at once."""
         with self._lock:
             self._line, self._decoder, self.failure = line, Decoder(line.byte_s), None
             self._longest_bytes = protocol.PLAUSIBLE_BYTES
@@ -115,7 +115,7 @@ class Link:
             self._flush(now_s)
 
     def closed(self, now_s, is_gone=False):
-        """It is closed.  is_gone: with the device; the next line begins from the start."""
+        """Note that the line is closed.  is_gone: the device is gone, too; the next line begins from the start."""
         with self._lock:
             if self.facts.state is State.UP:
                 self._lose(now_s)
@@ -125,12 +125,12 @@ class Link:
             self._forget()
 
     def received(self, data, now_s):
-        """Sound packets that are complete with these bytes; b"" when none came until now."""
+        """Handle received bytes (b"": none until now_s); return the valid packets that they complete."""
         with self._lock:
             facts, decoder = self.facts, self._decoder
             decoder.longest_bytes = self._longest_bytes
             if self._is_lost:
-                # only the answer counts: noise that looks like the head of a long packet must not hide it
+                # accept only packets as long as the expected answer: noise like the head of a long one must not hide it
                 decoder.longest_bytes = max(size for size, _ in self._answers.values())
             damaged, stray = decoder.damaged, decoder.stray_bytes
             packets = decoder.feed(data, now_s)
@@ -155,7 +155,7 @@ class Link:
                     key = topic_id, int.from_bytes(payload[:2], "little")
                     answer = len(payload) + protocol.OVERHEAD, hash(payload)
                     if self._answers.get(key, answer) != answer:
-                        # another program, or damage that the sum does not see: until `confirm` is called
+                        # another program, or damage that the checksum misses: no messages until `confirm` is called
                         self._announced.discard(key[1])
                         self._unsure = True
                     self._answers[key] = answer
@@ -165,24 +165,24 @@ class Link:
             return packets
 
     def snapshot(self):
-        """(Facts of now, silence after which the link is lost [s]), for another thread than the line's."""
+        """Return (current Facts, silence after which the link is lost [s]), for other threads than the line's."""
         with self._lock:
             return copy.deepcopy(self.facts), self._limit_s
 
     # --- time -----------------------------------------------------------------------------------------------------
     @property
     def _limit_s(self):
-        """Silence after which the link is lost [s]: longer when the device answers a request for long."""
+        """Silence after which the link is lost [s]: longer if the answer to a request takes long."""
         return max(self._silence_s, 2.0 * self._answer_s + 0.5 * self._silence_s)
 
     @property
     def _answer_s(self):
-        """How long a device answers to a request [s]."""
+        """Duration of the device's answer to a request [s]."""
         answer_bytes = _TIME_BYTES + sum(size for size, _ in self._answers.values())
         return answer_bytes * self._line.byte_s if self._line else 0.0
 
     def tick(self, now_s):
-        """Notice a loss, ask, write what may be written; after `received`, and as soon as `due_s` says."""
+        """Detect a loss, ask, write what may be written. Call after `received`, and at `due_s`."""
         with self._lock:
             if self._line is None:
                 return
@@ -199,12 +199,12 @@ class Link:
             self._flush(now_s)
 
     def flush(self, now_s):
-        """Write what waits and may be written. At the end it replaces `tick`, which asks a device that is silent."""
+        """Write waiting packets that may be sent. Use at the end instead of `tick`, which would ask a silent device."""
         with self._lock:
             self._flush(now_s)
 
     def due_s(self, now_s):
-        """When `received` with no bytes and `tick` are to be called, unless bytes come before [s]."""
+        """When to call `received` with no bytes, and `tick`, unless bytes arrive earlier [s]."""
         with self._lock:
             if self._line is None:
                 return math.inf
@@ -222,13 +222,13 @@ class Link:
         return facts.state is State.WAITING and bool(self._answers) and math.isfinite(facts.heard_s)
 
     def _ask_s(self):
-        """When the device is to be asked for its topics next."""
+        """When to ask the device for its topics next."""
         asked_s, quiet_s = self._asked_s, 0.5 * self._silence_s
         is_patient = self._silence_s > USUAL_SILENCE_S
         often_s = math.inf if is_patient else max(_OFTEN_S, _OFTEN_SHARE * self._answer_s)
         if self.facts.state is not State.UP:
             return asked_s + (min(quiet_s, often_s) if self._is_lost else quiet_s)
-        # a device that answers for long is asked so that the answers take half of the line at most
+        # a device with long answers is asked less often, so that its answers use at most half of the line
         due_s = max(self.facts.heard_s + quiet_s, asked_s + max(0.5 * quiet_s, 2.0 * self._answer_s))
         if math.isfinite(self._suspected_s):
             due_s = min(due_s, max(self._suspected_s + _WORRY_S, asked_s + _APART_S))
@@ -262,7 +262,7 @@ class Link:
         facts.waits_s, facts.bytes, facts.speaks_groovy = now_s, 0, False
 
     def _forget(self):
-        """What a device said counts no more: it may come back as another one."""
+        """Drop what the device announced: it may come back as a different one."""
         self._announced.clear()
         self._announced_before.clear()
         self._replies.clear()
@@ -272,7 +272,7 @@ class Link:
 
     # --- to the device --------------------------------------------------------------------------------------------
     def ask_topics(self, now_s):
-        """Something came that the topics known do not explain."""
+        """Ask for topics, because something arrived that does not fit the known topics."""
         with self._lock:
             self._unsure = self._line is not None
             if self._line is not None and now_s >= self._ask_s():
@@ -280,7 +280,7 @@ class Link:
                 self._flush(now_s)
 
     def confirm(self, topic, now_s):
-        """A protocol.Topic was announced: messages may go to it, or come in it."""
+        """Accept an announced protocol.Topic: messages to or from it are valid."""
         with self._lock:
             if self._line is None:
                 return
@@ -289,9 +289,9 @@ class Link:
             self._flush(now_s)
 
     def post(self, topic_id, payload, now_s, expires_s=math.inf):
-        """Send a message to a topic of the device as soon as the line is free, instead of an older one that waits.
+        """Send a message to a topic of the device as soon as the line is free; it replaces an older waiting one.
 
-        Returns False when it has to wait: `due_s` is another one then.
+        Returns False when it has to wait: `due_s` has then changed.
         """
         packet = protocol.encode(topic_id, payload)
         with self._lock:
@@ -301,7 +301,7 @@ class Link:
             return topic_id not in self._waiting and not self._rest
 
     def reply(self, topic_id, payload, now_s):
-        """Send an answer; answers keep their order and go before messages. Returns as `post`."""
+        """Send an answer; answers keep their order and are sent before messages. Returns the same as `post`."""
         packet = protocol.encode(topic_id, payload)
         with self._lock:
             if self._line is None:
@@ -311,14 +311,14 @@ class Link:
             return not (self._replies or self._rest)
 
     def forget(self, topic_id):
-        """Nothing is sent to this topic any more."""
+        """Stop sending to this topic."""
         with self._lock:
             self._waiting.pop(topic_id, None)
             self._announced.discard(topic_id)
 
     @property
     def idle(self):
-        """Nothing waits that could go now."""
+        """Whether no answer and no started packet waits to be sent."""
         return not (self._rest or self._replies)
 
     def _flush(self, now_s):
@@ -342,7 +342,7 @@ class Link:
             self.failure = error
 
     def _next(self, now_s):
-        """The packet that is to go next, None if there is none."""
+        """Return the packet to send next, None if there is none."""
         if self._replies:
             return self._replies.popleft()
         counts = self.facts.counts
@@ -351,7 +351,7 @@ class Link:
                 del self._waiting[topic_id]
                 counts["outdated"] += 1
             elif topic_id in self._announced and self.facts.state is State.UP:
-                del self._waiting[topic_id]  # the next one of this topic queues behind those of others
+                del self._waiting[topic_id]  # the next message of this topic queues behind those of other topics
                 counts["sent"] += 1
                 return waiting.packet
         return None

@@ -1,6 +1,6 @@
 """Lines to a device: serial ports and pseudo-terminals by pyserial, TCP connections to a device and from one. No ROS.
 
-A port makes lines. A `Line` never waits: `select` on it says when there is something to read.
+A port opens lines. A `Line` never blocks: use `select` to learn when there is something to read.
 """
 
 import contextlib
@@ -18,11 +18,11 @@ import serial
 from risc_lab.strangers import Guests, Strangers
 from rosserial_python.settings import LISTEN, USUAL_BAUD
 
-_BITS = 10  # of a byte on a serial line: start, 8, stop
+_BITS = 10  # per byte on a serial line: start, 8, stop
 _READ_BYTES = 4096
 _ACCEPTED_AT_ONCE = 16  # connections, before other work goes on
-_CONNECT_S = 1.0  # until an address counts as out of reach
-_LINGER_NONE = struct.pack("ii", 1, 0)  # what was not sent yet is thrown away with the connection
+_CONNECT_S = 1.0  # until an address counts as unreachable
+_LINGER_NONE = struct.pack("ii", 1, 0)  # discard unsent bytes when the connection is closed
 _SOCKET = re.compile(r"socket://(?:\[([^\]]+)\]|([^:/\[\]]+)):(\d+)/?")
 
 
@@ -39,10 +39,10 @@ class Line:
         return self._file.fileno()
 
     def read(self):
-        """What has arrived, b"" when there is nothing. Raises OSError when the line is gone."""
+        """Return the received bytes, b"" when there are none. Raises OSError when the line is gone."""
         with contextlib.suppress(BlockingIOError):
             data = os.read(self._file.fileno(), _READ_BYTES)
-            # of a terminal nothing may as well be the end, which is the case when it can be read all the same
+            # b"" from a terminal may mean no data or the end; it is the end if select still reports it as readable
             if not data and self._is_terminal and self._is_readable():
                 data = os.read(self._file.fileno(), _READ_BYTES)
             if data or (self._is_terminal and not self._is_readable()):
@@ -55,24 +55,24 @@ class Line:
         return bool(select.select([self._file], [], [], 0.0)[0])
 
     def write(self, data):
-        """How many bytes the line took. Raises OSError when it is gone."""
+        """Write bytes; return how many the line accepted. Raises OSError when it is gone."""
         try:
             return os.write(self._file.fileno(), data)
         except BlockingIOError:
             return 0
 
     def queued(self):
-        """Bytes that the kernel has, or that nobody has acknowledged; 0 of a pseudo-terminal."""
+        """Number of bytes in the kernel or not acknowledged; 0 for a pseudo-terminal."""
         return struct.unpack("i", fcntl.ioctl(self._file.fileno(), termios.TIOCOUTQ, b"\0\0\0\0"))[0]
 
     def discard(self):
-        """Forget what has not been sent yet; of a connection only closing it does."""
+        """Discard unsent bytes of a terminal; those of a connection are discarded only on closing."""
         if self._is_terminal:
             with contextlib.suppress(termios.error):
                 termios.tcflush(self._file.fileno(), termios.TCOFLUSH)
 
     def close(self):
-        """The line is no more; nothing that waits is sent."""
+        """Close the line; waiting bytes are not sent."""
         with contextlib.suppress(OSError):
             self.discard()
             if isinstance(self._file, socket.socket):
@@ -81,7 +81,7 @@ class Line:
 
 
 def _of_connection(connection, baud):
-    """baud: of the serial line at its other end, None if there is none."""
+    """Make a Line of a connection. baud: of the serial line at its other end, None if there is none."""
     connection.setblocking(False)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return Line(connection, _BITS / baud if baud else 0.0)
@@ -91,9 +91,9 @@ class SerialPort:
     """A device file or pseudo-terminal, or another URL of pyserial that has a file, e.g. hwgrep://."""
 
     def __init__(self, url, baud, reopen_s, for_test=False):
-        """reopen_s: silence after which opening anew may help [s], 0: never. Raises ValueError for what is no port."""
+        """reopen_s: silence after which the port is reopened [s], 0: never. Raises ValueError for an invalid port."""
         self.name, self.baud, self._reopen_s, self._for_test = url, baud, reopen_s, for_test
-        with contextlib.suppress(serial.SerialException):  # hwgrep:// finds no device, for now
+        with contextlib.suppress(serial.SerialException):  # hwgrep:// finds no device yet
             if isinstance(self._closed(), serial.Serial):
                 return
             raise ValueError("port %s: must be a device file, a pseudo-terminal, socket://HOST:PORT or tcp" % url)
@@ -111,7 +111,7 @@ class SerialPort:
         except serial.SerialException as error:
             raise OSError(errno.ENODEV, str(error)) from None
         try:
-            device.open()  # which drops what arrived before
+            device.open()  # discards bytes that arrived earlier
             node = _identity(os.fstat(device.fileno()))
         except (OSError, termios.error) as error:
             device.close()
@@ -119,7 +119,7 @@ class SerialPort:
         return Line(device, _BITS / self.baud, node)
 
     def should_reopen(self, line, silent_s):
-        """Whether a silent line had better be opened again: its device has gone, or is another one now."""
+        """Whether to reopen a silent line: after reopen_s, or if its device has gone or is a different one now."""
         if self._reopen_s and silent_s > self._reopen_s:
             return True
         if not self.name.startswith("/"):
@@ -138,7 +138,7 @@ def _identity(status):
 
 
 def _number(error):
-    """errno of what pyserial raised; it wraps some."""
+    """Return the errno of an error raised by pyserial, which wraps some errors."""
     cause = error.__context__
     if error.errno is None and isinstance(cause, OSError):
         return cause.errno
@@ -165,7 +165,7 @@ class SocketPort:
             raise OSError(errno.EHOSTUNREACH, "%s: %s" % (self._address[0], error.strerror)) from None
 
     def should_reopen(self, _line, silent_s):
-        """Whether a silent line had better be opened again."""
+        """Whether to reopen a silent line."""
         return silent_s > self.reopen_s
 
     def close(self):
@@ -173,7 +173,7 @@ class SocketPort:
 
 
 class ListeningPort:
-    """Devices connect to this computer: from itself and from some networks, since a device may publish any topic."""
+    """Devices connect to this computer: only from itself and from `guests`, since a device may publish any topic."""
 
     def __init__(self, number, baud=None, guests=None, strangers=None):
         """baud: see `_of_connection`.  guests, strangers: see risc_lab.strangers. Raises OSError."""
@@ -182,14 +182,14 @@ class ListeningPort:
         self._server.setblocking(False)
         self.name = "tcp:%d" % self._server.getsockname()[1]
         self.strangers = strangers or Strangers(lambda level, text: None, self.name)
-        self._next = None  # connection that waits to be opened
+        self._next = None  # accepted connection that waits for `open`
 
     def fileno(self):
         """For select: a device has connected."""
         return self._server.fileno()
 
     def open(self):
-        """The Line of the device that connected last. Raises OSError when there is none."""
+        """Return the Line of the device that connected last. Raises OSError when there is none."""
         newest, self._next = self._next, None
         while (accepted := self._accept()) is not None:
             if newest is not None:
@@ -200,7 +200,7 @@ class ListeningPort:
         return _of_connection(newest, self.baud)
 
     def accept(self):
-        """(Line, its peer) of one device that has connected, None when there is none."""
+        """Return (Line, its peer) of one device that has connected, None when there is none."""
         accepted = self._accept()
         if accepted is None:
             return None
@@ -208,16 +208,16 @@ class ListeningPort:
         return _of_connection(connection, self.baud), "%s:%d" % peer[:2]
 
     def refuse(self, line, peer, why):
-        """Hang up on a device. peer: see accept."""
+        """Close the connection of a device. peer: see accept."""
         line.close()
         self.strangers.refuse(peer.rpartition(":")[0], why)
 
     def _accept(self):
-        """(connection, its peer) of the next who has connected and may, None when there is none for now."""
+        """Return (connection, its peer) of the next permitted one, None when there is none yet."""
         for _ in range(_ACCEPTED_AT_ONCE):
             try:
                 connection, peer = self._server.accept()
-            except (BlockingIOError, ConnectionError):  # nobody, or gone again
+            except (BlockingIOError, ConnectionError):  # no connection, or closed again
                 return None
             if self._guests.may_come(peer[0], connection.getsockname()[0]):
                 return connection, peer
@@ -226,45 +226,45 @@ class ListeningPort:
         return None
 
     def should_reopen(self, _line, _silent_s):
-        """Whether another device waits, or the same one once more. A stranger does not cut the line of a device."""
+        """Whether a new permitted connection waits. A refused one does not end the current line."""
         if self._next is None:
             self._next, _ = self._accept() or (None, None)
         return self._next is not None
 
     def close(self):
-        """Nobody can connect any more."""
+        """Stop listening."""
         self._server.close()
         if self._next is not None:
             self._next.close()
 
 
 class AcceptedPort:
-    """One connection of a ListeningPort with several devices; when it ends it is over."""
+    """One connection of a ListeningPort with several devices; it cannot be reopened."""
 
     def __init__(self, line, name, baud):
         self.name, self.baud, self._line = name, baud, line
 
     def open(self):
-        """The Line, once. Raises OSError."""
+        """Return the Line at the first call; then raise OSError."""
         line, self._line = self._line, None
         if line is None:
             raise OSError(errno.ENODEV, "the device has closed its connection")
         return line
 
     def should_reopen(self, _line, silent_s):
-        """A device that is silent for so long connects anew."""
+        """Whether to give up a silent line: such a device connects anew."""
         return silent_s > SocketPort.reopen_s
 
     def close(self):
-        """Also a line that was never opened."""
+        """Close the line if it was never opened."""
         if self._line is not None:
             self._line.close()
 
 
 def make_port(params, report=lambda level, text: None):
-    """The port of settings.SerialParams. Raises ValueError, and OSError when it cannot listen.
+    """Make the port for settings.SerialParams. Raises ValueError, and OSError when it cannot listen.
 
-    report: function (level, text), for who is refused.
+    report: function (level, text), for refused connections.
     """
     if params.port == LISTEN:
         strangers = Strangers(report, "tcp:%d" % params.tcp_port)

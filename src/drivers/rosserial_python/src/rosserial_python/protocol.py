@@ -1,8 +1,8 @@
 """Packets of rosserial (protocol of ROS hydro and later) to bytes and back. No ROS, no ports.
 
 Packet: 0xFF 0xFE, length (2), its checksum, topic id (2), payload, checksum of topic id and payload; numbers
-little-endian. A checksum is 255 less the sum of the bytes modulo 256: one damaged packet in 256 passes it, so whoever
-takes a payload over checks it as well.
+little-endian. A checksum is 255 minus the sum of the bytes modulo 256: one damaged packet in 256 passes it, so the
+users of a payload check it as well.
 """
 
 import enum
@@ -13,13 +13,13 @@ from typing import NamedTuple
 SYNC, VERSION = 0xFF, 0xFE
 _HEAD = bytes((SYNC, VERSION))
 _HEAD_BYTES, _TAIL_BYTES = 7, 1
-OVERHEAD = _HEAD_BYTES + _TAIL_BYTES  # [bytes] of a packet beside its payload
-MOST_BYTES = 0xFFFF  # payload that the length can say
+OVERHEAD = _HEAD_BYTES + _TAIL_BYTES  # [bytes] of a packet besides its payload
+MOST_BYTES = 0xFFFF  # largest payload that the length field can hold
 FIRST_TOPIC = 100  # ids below are the protocol's own
-GAP_S = 0.03  # no byte for so long within a packet: its rest was lost (a device sends packets in one go)
+GAP_S = 0.03  # after a gap of this length in a packet its rest is lost (a device sends packets without a pause)
 PLAUSIBLE_BYTES = 2048  # payload of a device that has announced no larger buffer
-_GROOVY_TIME = b"\xff\xff\x0a\x00\x08\x00"  # how a device of ROS groovy begins to ask for the time
-GROOVY_REQUEST = b"\xff\xff\x00\x00\x00\x00\xff"  # what such a device answers; a newer one ignores it
+_GROOVY_TIME = b"\xff\xff\x0a\x00\x08\x00"  # beginning of the request for the time of a device of ROS groovy
+GROOVY_REQUEST = b"\xff\xff\x00\x00\x00\x00\xff"  # such a device answers this request; a newer one ignores it
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
@@ -47,11 +47,11 @@ ANNOUNCEMENTS = frozenset(range(Id.PUBLISHER, Id.CLIENT_RESPONSE + 1))
 
 
 class PayloadError(ValueError):
-    """A payload that is not what its topic id says, although the checksum is right."""
+    """A payload that does not fit its topic id, although the checksum is correct."""
 
 
 class Packet(NamedTuple):
-    """What a sound packet holds."""
+    """Contents of a valid packet."""
 
     topic_id: int
     payload: bytes
@@ -68,7 +68,7 @@ class Topic(NamedTuple):
 
 
 def encode(topic_id, payload=b""):
-    """Bytes of a packet. Raises ValueError for a payload that no packet can hold."""
+    """Encode a packet. Raises ValueError for a payload that is too long."""
     if len(payload) > MOST_BYTES:
         raise ValueError("a packet holds at most %d bytes, got %d" % (MOST_BYTES, len(payload)))
     low, high = len(payload) & 0xFF, len(payload) >> 8
@@ -80,25 +80,25 @@ REQUEST_TOPICS = encode(Id.PUBLISHER)
 
 
 class Decoder:
-    """Finds the packets in a stream of bytes, whatever else is in it.
+    """Finds the packets in a stream of bytes that may also contain other data.
 
-    What looked like a packet and is none loses its first byte only: a whole packet may stand in what follows.
+    If data looked like a packet but is none, only its first byte is dropped: the rest may contain a whole packet.
     """
 
     def __init__(self, byte_s=0.0):
-        """byte_s: how long the line takes for a byte [s]."""
+        """byte_s: time that the line takes for a byte [s]."""
         self._byte_s = byte_s
-        self._bytes = bytearray()  # begins with what may be a packet
-        self._begun_s = self._last_s = 0.0  # when its first byte, and the newest one, came
+        self._bytes = bytearray()  # begins with a possible packet
+        self._begun_s = self._last_s = 0.0  # when its first byte, and the newest one, arrived
         self._last_bytes = b""
-        self.longest_bytes = PLAUSIBLE_BYTES  # of a payload; a larger one is damage
-        self.packets = 0  # sound ones
-        self.damaged = 0  # begun and not sound
-        self.stray_bytes = 0  # bytes in no sound packet
+        self.longest_bytes = PLAUSIBLE_BYTES  # of a payload; a larger one counts as damage
+        self.packets = 0  # valid packets
+        self.damaged = 0  # packets that began and were not valid
+        self.stray_bytes = 0  # bytes outside valid packets
         self.speaks_groovy = False  # a device of ROS groovy or before was heard
 
     def feed(self, data, now_s):
-        """Packets that are complete with these bytes, which came now [s]; by `due_s` call it again."""
+        """Add bytes that arrived at now_s [s]; return the packets that they complete. Call again by `due_s`."""
         if not data:
             return self._give_up(now_s) if now_s >= self.due_s else []
         if not self._bytes:
@@ -113,16 +113,16 @@ class Decoder:
 
     @property
     def due_s(self):
-        """When `feed` is to be called without bytes, unless some come [s]; infinite when no packet has begun."""
+        """When to call `feed` without bytes, unless some arrive [s]; infinite when no packet has begun."""
         return min(self._last_s + GAP_S, self._begun_s + self._most_s()) if self._bytes else float("inf")
 
     def _most_s(self):
-        """How long the packet that has begun may take [s]."""
+        """Longest time that the packet that has begun may take [s]."""
         length = self._bytes[2] | self._bytes[3] << 8 if len(self._bytes) > 3 else 0
         return GAP_S + 2.0 * (length + OVERHEAD) * self._byte_s
 
     def _give_up(self, now_s):
-        """Packets in what has come, without the one that has begun and does not end."""
+        """Give up an incomplete packet that is overdue; return the packets found in the rest."""
         found = []
         while self._bytes and now_s >= self.due_s:
             self._drop()
@@ -131,13 +131,13 @@ class Decoder:
         return found
 
     def _drop(self):
-        """What begins here is no packet."""
+        """Drop the first byte: no packet begins here."""
         self.damaged += self._bytes[:2] == _HEAD
         self.stray_bytes += 1
         del self._bytes[0]
 
     def _take(self, now_s):
-        """Packets that are complete; what is left begins with one that may become so."""
+        """Remove and return complete packets; the bytes left begin with a possible packet."""
         found, data = [], self._bytes
         while data:
             if data[0] != SYNC:
@@ -169,7 +169,7 @@ class Decoder:
 
 
 def topic_of(payload):
-    """The `Topic` that a TopicInfo announces. Raises PayloadError."""
+    """Return the `Topic` that a TopicInfo announces. Raises PayloadError."""
     try:
         (topic_id,) = struct.unpack_from("<H", payload)
         name, at = _text(payload, 2)
@@ -187,7 +187,7 @@ def topic_of(payload):
 
 
 def log_of(payload):
-    """(level, text) of a Log. Raises PayloadError."""
+    """Return (level, text) of a Log. Raises PayloadError."""
     try:
         text, end = _text(payload, 1, "replace")
     except struct.error as error:
@@ -198,7 +198,7 @@ def log_of(payload):
 
 
 def name_of(payload):
-    """Name in a device's question for a parameter. Raises PayloadError."""
+    """Return the name in a device's request for a parameter. Raises PayloadError."""
     try:
         name, end = _text(payload, 0)
     except (struct.error, UnicodeDecodeError) as error:
@@ -209,12 +209,12 @@ def name_of(payload):
 
 
 def time_payload(seconds, nanoseconds):
-    """Answer to a device that asks for the time."""
+    """Encode the answer to a device that asks for the time."""
     return _TIME.pack(seconds, nanoseconds)
 
 
 def _text(payload, at, errors="strict"):
-    """(string at an offset, offset behind it). Raises struct.error, and UnicodeDecodeError when errors are strict."""
+    """Return (string at an offset, offset after it). Raises struct.error, and UnicodeDecodeError if errors="strict"."""
     (length,) = _LENGTH.unpack_from(payload, at)
     at += _LENGTH.size
     if at + length > len(payload):

@@ -1,4 +1,4 @@
-"""The thread that serves one port: opens it, reads, keeps the time of its `link.Link`, and opens it again. No ROS."""
+"""The thread that serves one port: opens it, reads, drives its `link.Link`, and reopens the port. No ROS."""
 
 import contextlib
 import select
@@ -10,18 +10,18 @@ from rosserial_python.link import Link, State
 from rosserial_python.protocol import Id
 
 _RETRY_S = 0.2  # between attempts to open a port
-_LOOK_S = 0.25  # how often a silent line's port is looked at
-_LAST_S = 0.3  # for what is to be sent when the node ends
+_LOOK_S = 0.25  # how often the port of a silent line is checked
+_LAST_S = 0.3  # time to send the last packets when the node ends
 _POLL_S = 0.005
-_CHIP_BYTES = 64  # that the kernel has handed to the chip, which closing the port would throw away
+_CHIP_BYTES = 64  # bytes that the kernel has passed to the chip, and that closing the port would discard
 
 
 class Session:
-    """One port and its device. `on_packet(packet)` runs in the session's thread and must not wait for anything."""
+    """One port and its device. `on_packet(packet)` runs in the session's thread and must not block."""
 
     def __init__(self, port, silence_s, on_packet, on_failure, on_change=lambda: None, once=False):
-        """on_change: called after the state, or why the port is not open, became another.  on_failure: called with the
-        exception that ended the thread.  once: no second opening.
+        """on_change: called after the state, or the reason why the port is not open, has changed.  on_failure: called
+        with the exception that ended the thread.  once: do not reopen.
         """
         self.port, self.link, self.error = port, Link(silence_s), None  # error: why the port is not open
         self._on_packet, self._on_failure, self._on_change = on_packet, on_failure, on_change
@@ -34,11 +34,11 @@ class Session:
         self._thread = threading.Thread(target=self._run, name="line %s" % port.name, daemon=True)
 
     def start(self):
-        """Begin to serve."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self, patience_s=3.0):
-        """Tell the device to be quiet, close the line, end the thread. Returns whether it has ended."""
+        """Tell the device to stop sending, close the line, end the thread. Returns whether it has ended."""
         self._over.set()
         self._wake()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
@@ -95,7 +95,7 @@ class Session:
                     self._on_change()
                 if self.error is not None:
                     self._wait([], _RETRY_S)
-        except Exception as error:  # whatever it is: nobody would serve the line any more
+        except Exception as error:  # any failure: without this thread nothing serves the line
             self._on_failure(error)
         finally:
             self.port.close()
@@ -119,13 +119,13 @@ class Session:
             self._on_change()
 
     def _serve(self, line):
-        """Until the line is gone (OSError), its port is to be opened anew, or the end."""
+        """Serve the line until it is gone (OSError), its port must be reopened, or the session ends."""
         link, state = self.link, State.WAITING
         while not self._over.is_set():
             now_s = self._clock()
             due_s = min(link.due_s(now_s), now_s + _LOOK_S)
             self._wait([line], max(0.0, due_s - now_s))
-            now_s = self._clock()  # before reading: what has come until then is read, however late this thread is
+            now_s = self._clock()  # before reading, so that all bytes until now_s are read, however late this thread is
             for packet in link.received(line.read(), now_s):
                 self._on_packet(packet)
             link.tick(now_s)
@@ -141,7 +141,7 @@ class Session:
         self._say_goodbye(line)
 
     def _say_goodbye(self, line):
-        """The device sends nothing more until somebody asks."""
+        """Tell the device to send nothing until it is asked for its topics."""
         link, end_s = self.link, self._clock() + _LAST_S
         link.reply(Id.TX_STOP, b"", self._clock())
         while self._clock() < end_s and link.failure is None and not (link.idle and line.queued() == 0):
@@ -150,7 +150,7 @@ class Session:
         time.sleep(_CHIP_BYTES * line.byte_s)
 
     def _wait(self, readers, longest_s):
-        """Until one of the readers can be read, at most so long, or until another thread wants something."""
+        """Wait until a reader is readable or another thread calls `_wake`, at most longest_s [s]."""
         readable, _, _ = select.select([*readers, self._wake_end], [], [], longest_s)
         if self._wake_end in readable:
             with contextlib.suppress(BlockingIOError):

@@ -1,11 +1,11 @@
-"""Parameters of uvc_cam_node, and what a change of them asks of the camera."""
+"""Parameters of uvc_cam_node, and what a change of them requires from the camera."""
 
 import re
 from dataclasses import dataclass, fields
 
 from risc_lab.settings import Name, Settings, between
 
-FORMATS = {1: "", 2: "YUYV", 3: "MJPG"}  # format_mode -> four letters of V4L2; "": whatever can become RGB
+FORMATS = {1: "", 2: "YUYV", 3: "MJPG"}  # format_mode -> four letters of V4L2; "": any that OpenCV converts to RGB
 CONTROLS = (
     "absolute_exposure",
     "exposure",
@@ -21,18 +21,18 @@ CONTROLS = (
 
 @dataclass(frozen=True)
 class CameraSettings(Settings):
-    """Names and defaults of the original; cfg/UVCCam.cfg has the same."""
+    """Parameters with the names and defaults of the original, the same as in cfg/UVCCam.cfg."""
 
     device: Name = "/dev/video0"  # camera (path or number), video file, or folder of pictures
     camera_name: str = "camera"
     format_mode: int = 1  # 1 RGB, 2 YUYV, 3 MJPEG
-    width: between(1, 16384) = 640  # [px] asked of a camera; files keep their own size
+    width: between(1, 16384) = 640  # [px] requested from a camera; files keep their own size
     height: between(1, 16384) = 480
-    frame_rate: between(1.875, 240.0) = 15.0  # [Hz] asked of a camera; at which files are played
+    frame_rate: between(1.875, 240.0) = 15.0  # [Hz] requested from a camera; playing rate of files
     frame_id: str = "camera"
     camera_info_url: str = ""
     loop: bool = True  # start again at the end of a file or folder
-    # Controls of a camera in its own units. They are left as the camera has them until they differ from these.
+    # Controls of a camera in its own units. A control is not changed until its parameter differs from this default.
     absolute_exposure: int = 2089  # [100 us]
     exposure: int = 1  # V4L2's mode: 0 automatic, 1 manual, 2 shutter priority, 3 aperture priority
     sharpness: int = 142
@@ -58,12 +58,12 @@ class CameraSettings(Settings):
 
 
 def changed_controls(before, after):
-    """Dict of the camera controls whose value differs between two `CameraSettings`."""
+    """Return {name: new value} of the camera controls that differ between two `CameraSettings`."""
     return {name: getattr(after, name) for name in CONTROLS if getattr(after, name) != getattr(before, name)}
 
 
 def needs_reopening(before, after):
-    """Whether a change asks for more than camera controls and names."""
+    """Whether a change affects more than camera controls and names."""
     live = {*CONTROLS, "camera_name", "camera_info_url", "frame_id"}
     return any(
         getattr(before, item.name) != getattr(after, item.name)

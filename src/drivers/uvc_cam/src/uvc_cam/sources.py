@@ -1,7 +1,7 @@
-"""Where pictures come from: a camera (V4L2, by OpenCV), a video file, a folder of pictures. No ROS.
+"""Sources of pictures: a camera (V4L2, by OpenCV), a video file, a folder of pictures. No ROS.
 
-A source is asked in two steps: `wait` returns when the next picture is there (its time is now), `picture` hands it out
-as (h, w, 3) uint8, blue green red. `SourceError` says in one sentence what is wrong and what helps.
+A source is read in two steps: `wait` returns when the next picture is there (its time is now), `picture` returns it as
+(h, w, 3) uint8, blue green red. `SourceError` says in one sentence what is wrong and how to fix it.
 """
 
 import fcntl
@@ -20,7 +20,7 @@ SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".
 _VIDIOC_S_CTRL = 0xC008561C  # _IOWR('V', 28, struct v4l2_control {u32 id; s32 value})
 _V4L2_CID_POWER_LINE_FREQUENCY = 0x00980918
 _PROPERTIES = {
-    "exposure": cv2.CAP_PROP_AUTO_EXPOSURE,  # before the time, which a camera refuses while it is automatic
+    "exposure": cv2.CAP_PROP_AUTO_EXPOSURE,  # before absolute_exposure, which is refused while exposure is automatic
     "absolute_exposure": cv2.CAP_PROP_EXPOSURE,
     "sharpness": cv2.CAP_PROP_SHARPNESS,
     "white_balance_temperature": cv2.CAP_PROP_AUTO_WB,
@@ -32,7 +32,7 @@ _PROPERTIES = {
 
 
 class SourceError(Exception):
-    """There are no pictures, and why."""
+    """There are no pictures; the text says why."""
 
 
 class NoMorePicturesError(SourceError):
@@ -40,7 +40,7 @@ class NoMorePicturesError(SourceError):
 
 
 def open_source(settings):
-    """The source that `settings.device` names. Raises SourceError."""
+    """Open the source that `settings.device` names. Raises SourceError."""
     device = settings.device
     if device.isdigit():
         device = "/dev/video" + device
@@ -60,7 +60,7 @@ def open_source(settings):
 
 
 class _Pace:
-    """Sleeps from picture to picture; a late one does not make the next ones hurry."""
+    """Sleeps from picture to picture; after a late one it does not catch up."""
 
     def __init__(self, rate_hz):
         self._period_s = 1.0 / rate_hz
@@ -74,16 +74,16 @@ class _Pace:
 
 
 class Source:
-    """What they have in common: `wait` for the next picture, then take it; SourceError when none comes."""
+    """Base class of sources: `wait` for the next picture, then take it; SourceError when none comes."""
 
     def __init__(self):
-        self.notes = []  # sentences that are worth a warning
+        self.notes = []  # sentences to be logged as warnings
 
     def set_controls(self, controls):
-        """Set controls of a camera, a dict of name -> value; files have none."""
+        """Set controls of a camera, a dict of name -> value; does nothing for files."""
 
     def close(self):
-        """Let go of it."""
+        """Release the source."""
 
 
 class FolderSource(Source):
@@ -124,7 +124,7 @@ class FolderSource(Source):
 
 
 class _CaptureSource(Source):
-    """What OpenCV captures. complaint: about a picture that cannot be decoded."""
+    """Pictures captured by OpenCV. complaint: error text for a picture that cannot be decoded."""
 
     def __init__(self, path, capture, complaint):
         super().__init__()
@@ -141,7 +141,7 @@ class _CaptureSource(Source):
 
 
 class VideoSource(_CaptureSource):
-    """A video file at the frame rate, whatever rate it was taken at."""
+    """A video file, played at the frame rate of the settings, not at its own."""
 
     def __init__(self, path, settings):
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -167,7 +167,7 @@ class VideoSource(_CaptureSource):
 
 
 class CameraSource(_CaptureSource):
-    """A camera by V4L2, at its own pace. Controls that the camera lacks are noted."""
+    """A camera by V4L2, at its own rate. Controls that the camera lacks are noted."""
 
     def __init__(self, path, settings, capture_class=cv2.VideoCapture, ioctl=fcntl.ioctl):
         """capture_class, ioctl: replaced in tests."""

@@ -4,8 +4,8 @@ Form: ``AT*NAME=sequence[,argument...]`` + carriage return.  Several commands ma
 spans two.  Arguments: signed decimal integers; strings in double quotes; floats as the decimal value of their 32-bit
 pattern read as a signed integer (0.3 -> 1050253722).
 
-One table (`SIGNATURES`) serves both directions: the client encodes strictly from it, the virtual aircraft
-(risc_simulator) parses tolerantly with it.
+One table (`SIGNATURES`) serves both directions: the client encodes strictly by it, the virtual aircraft
+(risc_simulator) parses tolerantly by it.
 """
 
 import math
@@ -14,11 +14,11 @@ from enum import IntEnum, IntFlag
 
 MAX_COMMAND_CHARS = 1024  # a longer command is refused by the aircraft
 
-# Kinds of the arguments behind the sequence number: i integer, f float (-1..1 where it is a stick), s string.
+# Types of the arguments after the sequence number: i integer, f float (-1..1 for sticks), s string.
 SIGNATURES = {
     "REF": "i",  # bits, see Ref
     "PCMD": "iffff",  # flags, roll, pitch, gaz, yaw
-    "PCMD_MAG": "iffffff",  # the same, psi, psi_accuracy
+    "PCMD_MAG": "iffffff",  # as PCMD, then psi, psi_accuracy
     "FTRIM": "",
     "CONFIG": "ss",  # key, value
     "CONFIG_IDS": "sss",  # session, user, application
@@ -30,7 +30,7 @@ SIGNATURES = {
     "PMODE": "i",
     "MISC": "iiii",
 }
-OPTIONAL_TAIL = {"CTRL": 1, "ANIM": 1}  # trailing arguments that some clients leave out; they read 0
+OPTIONAL_TAIL = {"CTRL": 1, "ANIM": 1}  # number of trailing arguments that some clients leave out; they read 0
 
 # Legacy and factory commands that a 2.0 accepts without visible effect.
 IGNORED = frozenset(["ZAP", "CAD", "GAIN", "MTRIM", "VISP", "VISO", "CAP", "POL", "PWM", "AFLIGHT", "VICON", "RC"])
@@ -92,10 +92,10 @@ def int_to_float(pattern):
 
 # --- client side -----------------------------------------------------------------------------------------------------
 def encode(name, sequence, *arguments):
-    """One command as bytes, carriage return included.
+    """Encode one command as bytes, carriage return included.
 
-    name: key of SIGNATURES.  sequence: one count for all commands of a socket; 1 resets the aircraft's.  arguments:
-    ints, floats and strings as the signature says.  ValueError on a wrong count, kind or length.
+    name: key of SIGNATURES.  sequence: one count for all commands of a socket; 1 resets the aircraft's count.
+    arguments: ints, floats and strings as in the signature.  ValueError on a wrong count, type or length.
     """
     if name not in _NUMBERS:
         return _encode_strings(name, sequence, arguments)
@@ -121,10 +121,10 @@ def _encode_strings(name, sequence, arguments):
 
 
 def ref(sequence, start=False, select=False):
-    """Take off / keep flying (start), land (not start); a rising edge of select toggles the emergency state."""
+    """Encode REF. start: take off / keep flying, else land; a rising edge of select toggles the emergency state."""
     return encode("REF", sequence, _PADDING + _START * bool(start) + _SELECT * bool(select))
 
 
 def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0):
-    """Sticks in [-1, 1]: roll + right, pitch + nose up (backward), gaz + up, yaw + clockwise from above."""
+    """Encode PCMD_MAG. Sticks in [-1, 1]: roll + right, pitch + nose up (backward), gaz + up, yaw + clockwise."""
     return encode("PCMD_MAG", sequence, flags, roll, pitch, gaz, yaw, 0.0, 0.0)

@@ -38,7 +38,7 @@ class ConfigKey(namedtuple("ConfigKey", "section name default category read_only
 
     @property
     def kind(self):
-        """Type of its values."""
+        """Type of the key's values."""
         return type(self.default)
 
 
@@ -104,13 +104,13 @@ def _keys():
 
 KEYS = {key.key: key for key in _keys()}  # by "section:name", in readback order
 
-# Active limits that `control:outdoor` switches; each has twins with the prefix indoor_ and outdoor_.
+# Active limits that `control:outdoor` switches; each also exists with the prefixes indoor_ and outdoor_.
 FLIGHT_LIMITS = ("euler_angle_max", "control_vz_max", "control_yaw")
 
 
 # --- values ------------------------------------------------------------------------------------------------------
 def format_value(kind, value):
-    """Wire text of a value: TRUE, 12, 0.500000, { 1.0000000e+00 ... }. ConfigError when it is not of the type."""
+    """Return the wire text of a value: TRUE, 12, 0.500000, { 1.0000000e+00 ... }. ConfigError on a wrong type."""
     try:
         if kind is bool:
             return "TRUE" if value else "FALSE"
@@ -122,7 +122,7 @@ def format_value(kind, value):
             return "{ %s }" % " ".join("%.7e" % x for x in value)
         if kind is str:
             return str(value)
-    except (TypeError, ValueError, OverflowError):  # as for what is not finite
+    except (TypeError, ValueError, OverflowError):  # refused below, like values that are not finite
         pass
     raise ConfigError("%r is not of type %s" % (value, kind.__name__))
 
@@ -151,13 +151,13 @@ def parse_value(kind, text):
 
 # --- text on TCP 5559 --------------------------------------------------------------------------------------------
 def encode_config_text(values):
-    """Readback text: values maps "section:name" to wire text, in order. Bytes with the zero byte at the end."""
+    """Encode the readback text: values maps "section:name" to wire text, in order. Bytes that end with a zero byte."""
     return "".join("%s = %s\n" % item for item in values.items()).encode("ascii", "replace") + b"\0"
 
 
 # --- multi-configuration ids -----------------------------------------------------------------------------------------
 def crc_id(name):
-    """Id for this name, see above: CRC-32 as 8 hexadecimal digits."""
+    """Return the id of a user or application name: CRC-32 as 8 hexadecimal digits, see the top of this file."""
     return "%08x" % (zlib.crc32(name.encode("utf-8")) & 0xFFFFFFFF)
 
 
@@ -167,7 +167,7 @@ def is_id(text):
 
 
 def encode_custom_ids(applications, profiles, sessions):
-    """Answer to CTRL 6: each argument maps id to description. Bytes with the zero byte at the end."""
+    """Encode the answer to CTRL 6: each argument maps id to description. Bytes that end with a zero byte."""
     parts = ["[common]\r"]
     for section, ids in (("applis", applications), ("profiles", profiles), ("sessions", sessions)):
         parts.append("[%s]\r" % section)

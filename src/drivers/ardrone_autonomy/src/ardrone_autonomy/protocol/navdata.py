@@ -3,13 +3,13 @@
 A packet is a 16-byte header (magic, state bits, sequence, vision_defined), then options (uint16 tag, uint16 size
 *including these four bytes*, payload; packed), then always the checksum option: the plain sum of all bytes before it.
 
-One table (`LAYOUTS`) describes every option; the virtual aircraft (risc_simulator) writes with it.  Field names, order
+One table (`LAYOUTS`) describes every option; the virtual aircraft (risc_simulator) encodes by it.  Field names, order
 and units are those of the aircraft (and of the navdata_* messages of the ROS driver): axes x nose, y right, z down;
 milli-degrees, mm, mm/s.
 
-Reading: `peek` looks at the header only (about a microsecond); `Navdata` finds the options, verifies the checksum and
-decodes an option only when asked.  Options are read by their own size: longer ones are read as far as they are known,
-unknown tags are skipped, a size of 0 ends the packet.  All errors are NavdataError.
+Reading: `peek` reads the header only (about a microsecond); `Navdata` finds the options, verifies the checksum and
+decodes an option only when asked.  Options are read by their own size field: the unknown end of a longer option is
+ignored, unknown tags are skipped, a size of 0 ends the packet.  All errors are NavdataError.
 """
 
 import struct
@@ -50,7 +50,7 @@ State = IntFlag(
     "EMERGENCY",
 )
 
-# Option tags. 27 is gps on firmware 2.4 and zimmu_3000 before, told apart by size.
+# Option tags. 27 is gps on firmware 2.4 and zimmu_3000 on earlier ones, distinguished by size.
 Tag = IntEnum(
     "Tag",
     "DEMO TIME RAW_MEASURES PHYS_MEASURES GYROS_OFFSETS EULER_ANGLES REFERENCES TRIMS RC_REFERENCES PWM ALTITUDE "
@@ -70,21 +70,21 @@ ControlState = IntEnum(
 
 
 # --- layouts -----------------------------------------------------------------------------------------------------
-# One field: struct code, number of elements (1: a scalar, else a tuple), byte offset behind tag and size.
+# One field: struct code, number of elements (1: a scalar, else a tuple), byte offset after tag and size.
 Field = namedtuple("Field", "name code count offset")
 
 
 class Layout:
     """One option: its fields in wire order and the value type with the same field names.
 
-    Options grow at their end between firmware versions: those behind a bar may be absent, and read 0 then.
+    Options grow at their end between firmware versions: fields after the bar "|" may be absent and then read 0.
     """
 
     def __init__(self, name, spec):
         self.name = name
         self.fields = ()
-        self._ends = []  # of each field [bytes]
-        self._places = []  # of each field among the numbers of the struct: one, or a slice
+        self._ends = []  # end offset of each field [bytes]
+        self._places = []  # of each field among the numbers of the struct: an index or a slice
         offset = elements = 0
         for item in spec.replace("|", "").split():
             field_name, kind = item.split(":")
@@ -101,14 +101,14 @@ class Layout:
         self._struct = struct.Struct("<" + "".join("%d%s" % (field.count, field.code) for field in self.fields))
 
     def unpack(self, payload):
-        """Value of an option, bytes behind tag and size; NavdataError when required fields are missing."""
+        """Decode an option from its bytes after tag and size; NavdataError when required fields are missing."""
         if len(payload) < self.required_bytes:
             raise NavdataError(
                 "navdata option %s has %d bytes, at least %d are needed"
                 % (self.name, len(payload) + 4, self.required_bytes + 4)
             )
         if len(payload) < self._struct.size:
-            whole = max(end for end in self._ends if end <= len(payload))  # half a field is of no use
+            whole = max(end for end in self._ends if end <= len(payload))  # drops an incomplete field
             payload = payload[:whole].ljust(self._struct.size, b"\0")
         flat = self._struct.unpack_from(payload)
         return self.value_type._make([flat[place] for place in self._places])
@@ -187,7 +187,7 @@ _LAYOUTS = (
     Layout("games", "double_tap_counter:I finish_line_counter:I"),
     Layout("pressure_raw", "up:i ut:h Temperature_meas:i Pression_meas:i"),  # 0.1 deg C, Pa
     Layout(
-        "magneto",  # mx..mz: counts of the sensor; fields: mG; headings: deg; behind the uint8 all is unaligned
+        "magneto",  # mx..mz: counts of the sensor; fields: mG; headings: deg; unaligned after the uint8
         "mx:h my:h mz:h | magneto_raw:3f magneto_rectified:3f magneto_offset:3f heading_unwrapped:f "
         "heading_gyro_unwrapped:f heading_fusion_unwrapped:f magneto_calibration_ok:B magneto_state:I "
         "magneto_radius:f error_mean:f error_var:f",
@@ -212,7 +212,7 @@ _LAYOUTS = (
     Layout("zimmu_3000", "vzimmuLSB:i vzfind:f"),
 )
 
-# Tag 27 on firmware 2.4; of its 216 bytes public clients agree on the first fields.
+# Tag 27 on firmware 2.4; public clients agree only on the first fields of its 216 bytes.
 GPS_LAYOUT = Layout("gps", "latitude:d longitude:d elevation:d | more:188B")
 
 LAYOUTS = {int(Tag[layout.name.upper()]): layout for layout in _LAYOUTS}  # by tag
@@ -220,7 +220,7 @@ LAYOUTS = {int(Tag[layout.name.upper()]): layout for layout in _LAYOUTS}  # by t
 
 # --- time option -----------------------------------------------------------------------------------------------------
 def time_to_seconds(time_raw):
-    """Seconds since boot of the time option: top 11 bits seconds, low 21 bits microseconds; wraps after 2048 s."""
+    """Seconds since boot from the time option: top 11 bits seconds, low 21 bits microseconds; wraps after 2048 s."""
     return (time_raw >> 21) + (time_raw & 0x1FFFFF) * 1e-6
 
 
@@ -234,7 +234,7 @@ def is_wake_up(data):
 
 
 def peek(data):
-    """Header of a packet without looking at the rest. NavdataError when it is too short or not navdata."""
+    """Return the header of a packet without reading the rest. NavdataError when it is too short or not navdata."""
     if len(data) < MIN_PACKET_BYTES:
         raise NavdataError("a navdata packet has at least %d bytes, got %d" % (MIN_PACKET_BYTES, len(data)))
     header = Header._make(HEADER.unpack_from(data))

@@ -1,14 +1,15 @@
 """Video framing of the aircraft: PaVE headers around the pictures of the TCP stream, port 5555.
 
-Every picture is a header ("PaVE", little-endian, 64 bytes in early firmware, 68 later; skipped by its own size field)
-and a payload: one access unit of H.264 Annex B.  The aircraft sends as soon as a client connects and drops pictures
-for a client that is slow; a client that joins in the middle waits for a picture of type IDR, which carries SPS and PPS.
+Every picture is a header ("PaVE", little-endian, 64 bytes in early firmware, 68 later; its length is in its own size
+field) and a payload: one access unit of H.264 Annex B.  The aircraft sends as soon as a client connects and drops
+pictures for a slow client; a client that joins in the middle waits for a picture of type IDR, which carries SPS and
+PPS.
 
-Reading: `parse_header` looks at one header; `StreamParser` cuts a byte stream into `Packet`s and finds its way back
-after anything that is not PaVE; `FrameAssembler` joins pictures that come in several packets.
+Reading: `parse_header` reads one header; `StreamParser` cuts a byte stream into `Packet`s and resynchronises after
+anything that is not PaVE; `FrameAssembler` joins pictures that come in several packets.
 Writing: `pack_header`.
 
-Nothing that arrives raises, except in parse_header: the parser drops and counts what it cannot use.
+No received data raises an exception, except in parse_header: the parser drops and counts what it cannot use.
 """
 
 import contextlib
@@ -19,7 +20,7 @@ from enum import IntEnum, IntFlag
 MAGIC = b"PaVE"
 VERSION = 2
 MIN_HEADER_BYTES = 64
-MAX_HEADER_BYTES = 256  # sizes up to this are skipped by their field
+MAX_HEADER_BYTES = 256  # a header with a larger size field is refused
 MAX_PAYLOAD_BYTES = 1 << 20  # the largest pictures seen have 19 kB, 720p about ten times that
 MAX_SIDE_PX = 4096
 
@@ -30,9 +31,9 @@ class PaveError(ValueError):
     """Bytes that are not a valid PaVE header."""
 
 
-# Of the payload; MPEG4_AVC is H.264, what an AR.Drone 2.0 sends.
+# Codec of the payload; MPEG4_AVC is H.264, which an AR.Drone 2.0 sends.
 Codec = IntEnum("Codec", "UNKNOWN VLIB P264 MPEG4_VISUAL MPEG4_AVC", start=0)
-# Kind of a picture: IDR decodes by itself, SPS and PPS are in front; HEADERS is SPS and PPS only.
+# Type of a picture: IDR decodes by itself, with SPS and PPS in front; HEADERS is SPS and PPS only.
 FrameType = IntEnum("FrameType", "UNKNOWN IDR I P HEADERS", start=0)
 
 
@@ -57,27 +58,27 @@ class PaveHeader(
 
     @property
     def encoded_px(self):
-        """(width, height) that the decoder gives; H.264 works in blocks of 16."""
+        """(width, height) of the decoded picture; H.264 works in blocks of 16."""
         return self.encoded_width_px, self.encoded_height_px
 
     @property
     def display_px(self):
-        """(width, height) that is to be shown, the top left part of the decoded picture."""
+        """(width, height) of the part to be shown, the top left of the decoded picture."""
         return self.display_width_px, self.display_height_px
 
     @property
     def following_bytes(self):
-        """Payload that follows the header."""
+        """Number of payload bytes that follow the header."""
         return 0 if self.control & Control.ADVERTISEMENT else self.payload_bytes
 
     @property
     def is_first_part(self):
-        """The first (or only) packet of its picture."""
+        """Whether this is the first (or only) packet of its picture."""
         return self.chunk_index == 0 and self.slice_index == 0
 
     @property
     def is_last_part(self):
-        """The last (or only) packet of its picture."""
+        """Whether this is the last (or only) packet of its picture."""
         return self.chunk_index + 1 >= self.total_chunks and self.slice_index + 1 >= self.total_slices
 
 
@@ -86,9 +87,9 @@ Packet = namedtuple("Packet", "header payload")  # PaveHeader, bytes
 
 # --- headers ---------------------------------------------------------------------------------------------------------
 def parse_header(data, offset=0):
-    """PaveHeader at a place of a bytes-like object.
+    """Return the PaveHeader at an offset of a bytes-like object.
 
-    Needs MIN_HEADER_BYTES there, although header_bytes may be more.  PaveError when that is not a valid header.
+    Needs MIN_HEADER_BYTES there, although header_bytes may be more.  PaveError when there is no valid header.
     """
     if len(data) - offset < MIN_HEADER_BYTES:
         raise PaveError("a PaVE header has at least %d bytes, got %d" % (MIN_HEADER_BYTES, max(0, len(data) - offset)))
@@ -106,24 +107,25 @@ def parse_header(data, offset=0):
 
 
 def pack_header(header):
-    """The header_bytes of a header, reserved ones zero. struct.error when a field is out of range."""
+    """Encode a header to header_bytes bytes, padded with zeros. struct.error when a field is out of range."""
     return _FIELDS.pack(MAGIC, *header).ljust(header.header_bytes, b"\0")
 
 
 # --- client side -----------------------------------------------------------------------------------------------------
 class StreamParser:
-    """Cuts the bytes of a TCP stream into Packets, however the network has split them.
+    """Cuts the bytes of a TCP stream into Packets, regardless of how the network has split them.
 
-    A packet is handed out with its last byte: nothing waits for the next header.  Whatever is not PaVE is skipped up
-    to the next valid header.  A payload that holds a valid header of the same stream was announced too long: it is
-    dropped and the header inside is taken, so that a damaged length costs one picture and not all that follow.
+    A packet is returned as soon as its last byte arrives: it does not wait for the next header.  Anything that is not
+    PaVE is skipped up to the next valid header.  If a payload contains a valid header of the same stream, its announced
+    length was too large: the packet is dropped and parsing goes on at the inner header, so that a damaged length costs
+    only one picture.
     """
 
     def __init__(self):
-        self.packets = 0  # handed out
-        self.bad_headers = 0  # "PaVE" that no valid header follows
-        self.broken_payloads = 0  # announced longer than they were
-        self.skipped_bytes = 0  # that belong to no packet
+        self.packets = 0  # returned packets
+        self.bad_headers = 0  # "PaVE" without a valid header
+        self.broken_payloads = 0  # payloads that were announced too long
+        self.skipped_bytes = 0  # bytes that belong to no packet
         self._buffer = bytearray()
         self._searched = 0  # no valid header lies between the one at the beginning and here
 
@@ -133,7 +135,7 @@ class StreamParser:
         self._searched = 0
 
     def feed(self, data):
-        """List of the Packets that these bytes complete, in order."""
+        """Add bytes; return the list of Packets that they complete, in order."""
         self._buffer += data
         packets = []
         while (header := self._find_header()) is not None:
@@ -151,7 +153,7 @@ class StreamParser:
         return packets
 
     def _find_header(self):
-        """The next valid header, which then begins the buffer; None: more bytes are needed."""
+        """Return the next valid header and discard all bytes before it; None: more bytes are needed."""
         buffer = self._buffer
         while (begin := buffer.find(MAGIC)) >= 0:
             self._skip(begin)
@@ -162,14 +164,14 @@ class StreamParser:
             except PaveError:
                 self.bad_headers += 1
                 self._skip(len(MAGIC))
-        # The end may be the beginning of the magic
+        # The buffer may end with the beginning of the magic
         self._skip(len(buffer) - next((n for n in (3, 2, 1) if buffer.endswith(MAGIC[:n])), 0))
         return None
 
     def _find_inner_header(self, header, end):
-        """Where another valid header lies inside the payload; 0: nowhere, None: more bytes are needed to tell.
+        """Return the position of another valid header inside the payload; 0: none, None: more bytes are needed.
 
-        What has been searched once is not searched again: a payload may come in as many pieces as it has bytes.
+        Bytes that have been searched are not searched again: a payload may arrive in as many pieces as it has bytes.
         """
         buffer = self._buffer
         begin = buffer.find(MAGIC, max(self._searched, header.header_bytes), end)
@@ -182,7 +184,7 @@ class StreamParser:
                 if (inner.version, inner.codec) == (header.version, header.codec):
                     return begin
             begin = buffer.find(MAGIC, begin + len(MAGIC), end)
-        self._searched = max(self._searched, min(len(buffer), end) - len(MAGIC) + 1)  # a magic may be broken off here
+        self._searched = max(self._searched, min(len(buffer), end) - len(MAGIC) + 1)  # a magic may be cut off here
         return 0
 
     def _skip(self, count):
@@ -196,14 +198,14 @@ class StreamParser:
 
 
 class FrameAssembler:
-    """Joins the packets of one picture, which some settings of the aircraft make it send in chunks or slices."""
+    """Joins the packets of one picture: with some settings the aircraft sends pictures in chunks or slices."""
 
     def __init__(self):
-        self.incomplete = 0  # pictures of which a part is missing, or that are too large
-        self._parts, self._bytes = [], 0  # Packets of one picture, from its first part on, and their payload
+        self.incomplete = 0  # pictures with a missing part, or too large
+        self._parts, self._bytes = [], 0  # Packets of one picture, from its first part on, and their payload size
 
     def add(self, packet):
-        """The Packet of a whole picture that this one completes (header of its first part), or None."""
+        """Add a Packet; return the Packet of the whole picture (header of its first part), None until complete."""
         header = packet.header
         if not (self._parts and self._continues(header)):
             self.incomplete += bool(self._parts)

@@ -15,8 +15,8 @@ from ardrone_autonomy import msg as messages
 from ardrone_autonomy.attitude import quaternion_xyzw
 from ardrone_autonomy.protocol.navdata import Tag, time_to_seconds
 
-STANDARD_GRAVITY_M_S2 = 9.8  # what the original driver multiplies with
-MIN_FIELD_NORM = 1e-9  # a magnetic field below has no direction
+STANDARD_GRAVITY_M_S2 = 9.8  # value of the original driver
+MIN_FIELD_NORM = 1e-9  # a weaker magnetic field has no direction
 _MICROSECONDS = 0x1FFFFF  # low bits of the time option
 
 # Pose of the cameras on the vehicle: position [m], roll, pitch, yaw; optical frames (z forward, x right, y down).
@@ -25,7 +25,7 @@ BOTTOM_CAMERA = ((0.0, -0.02, 0.0), (math.pi, 0.0, math.pi / 2.0))
 
 
 def navdata_message(packet, header):
-    """Navdata (the `ardrone/navdata` topic)."""
+    """Return the Navdata message (the `ardrone/navdata` topic)."""
     message = messages.Navdata(header=header)
     demo = packet.option(Tag.DEMO)
     if demo is not None:
@@ -66,7 +66,7 @@ def navdata_message(packet, header):
 
 
 def imu_message(packet, navdata, covariances):
-    """sensor_msgs/Imu from a packet and the Navdata made of it.
+    """Return the sensor_msgs/Imu of a packet and the Navdata made from it.
 
     covariances: (acceleration, angular velocity, orientation), 9 numbers each.
     """
@@ -85,7 +85,7 @@ def imu_message(packet, navdata, covariances):
 
 
 def mag_message(navdata):
-    """geometry_msgs/Vector3Stamped of length 1 along the magnetic field, None when there is no field."""
+    """Return a geometry_msgs/Vector3Stamped of length 1 along the magnetic field, None when there is no field."""
     field = (navdata.magX, navdata.magY, navdata.magZ)
     norm = math.hypot(*field)
     if norm < MIN_FIELD_NORM:
@@ -94,7 +94,7 @@ def mag_message(navdata):
 
 
 def odometry_message(state, stamp, base_frame):
-    """nav_msgs/Odometry of an attitude.OdometryState; its frame is the literal `odom`, as in the original."""
+    """Return the nav_msgs/Odometry of an attitude.OdometryState; its frame is always `odom`, as in the original."""
     message = OdometryMsg(child_frame_id=base_frame)
     message.header.stamp, message.header.frame_id = stamp, "odom"
     message.pose.pose.position = Point(*state.position_m)
@@ -110,13 +110,13 @@ def transform_message(parent, child, translation_m, quaternion, stamp=None):
 
 
 def camera_transform(parent, child, camera):
-    """Fixed transform of FRONT_CAMERA or BOTTOM_CAMERA, without stamp."""
+    """Return the fixed transform of FRONT_CAMERA or BOTTOM_CAMERA, without stamp."""
     translation_m, roll_pitch_yaw = camera
     return transform_message(parent, child, translation_m, quaternion_xyzw(*roll_pitch_yaw))
 
 
 class OptionConverter:
-    """One option -> its navdata_<name> message, values as on the wire."""
+    """Converts one option to its navdata_<name> message, values as on the wire."""
 
     def __init__(self, name):
         """name: of the option, e.g. "demo"."""
@@ -126,7 +126,7 @@ class OptionConverter:
         self._copies = [(field, _maker(ros_type)) for field, ros_type in fields]
 
     def convert(self, packet, header):
-        """The message, or None when the packet does not carry the option (or another one under its number)."""
+        """Return the message; None when the packet lacks the option or has another one under its number."""
         option = packet.option(self.tag)
         if option is None:
             return None
@@ -143,7 +143,7 @@ class OptionConverter:
 
 
 def _maker(ros_type):
-    """Function that makes a nested value (or a list of them) from a flat tuple; None for plain fields."""
+    """Return a function that makes a nested value (or a list of them) from a flat tuple; None for plain fields."""
     package, _, type_name = ros_type.rstrip("[]").rpartition("/")
     if not package:
         return None

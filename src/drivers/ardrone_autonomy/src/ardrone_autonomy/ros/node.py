@@ -1,7 +1,7 @@
 """The node `ardrone_driver`: wires vehicles (udp.UdpThread, link.DroneLink) to topics, services and tf.
 
-Four kinds of threads: rospy's own, which only hand orders over; and for each vehicle the UDP thread, which pilots; one
-that publishes; and one that receives and decodes pictures. A vehicle's trouble stays in its own three.
+Four kinds of threads: rospy's own, which only pass orders on; and for each vehicle the UDP thread, which pilots; one
+that publishes; and one that receives and decodes pictures. A fault of one vehicle affects only its own three threads.
 """
 
 import functools
@@ -43,10 +43,10 @@ LOOPS_PER_CAMERA_FRAME = 5
 RESTART_S = 1.0  # until a driver that failed beside others is restarted
 REALTIME_BACKLOG = 20  # packets that may wait to be published with realtime_navdata
 REPEAT_WARNING_S = 5.0
-PUBLISH_PATIENCE_S = 5.0  # how long every packet may fail to be published before the driver gives up and lands
+PUBLISH_PATIENCE_S = 5.0  # if no packet could be published for this long, the driver gives up and lands
 
 CAMERA_FRAMES = ("_frontcam", "_bottomcam")  # by channel
-# The services count through these numbers.
+# The services take channel and animation numbers modulo these.
 CHANNELS = 2
 LED_ANIMATIONS = (*range(11), 18, 19, 20)  # ids of AT*LED; the aircraft has more
 
@@ -54,9 +54,9 @@ _LOG = {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}
 
 
 def make_drivers(arguments=()):
-    """The ArdroneDrivers of the node: one in its namespace, or those of ~vehicles, {namespace: its own parameters}.
+    """Make the ArdroneDrivers of the node: one in its namespace, or those of ~vehicles, {namespace: own parameters}.
 
-    Parameters beside ~vehicles are for all of them, and count first. Raises ValueError that names what is wrong.
+    Parameters beside ~vehicles apply to all of them and override their own. Raises ValueError that names the fault.
     """
     tree = rospy.get_param("~", {})
     tree = tree if isinstance(tree, dict) else {}
@@ -86,7 +86,7 @@ def run(drivers):
         rospy.spin()
     finally:
         for driver in drivers:
-            driver.udp.begin_to_stop()  # hover, and land if flying; the next one waits for it
+            driver.udp.begin_to_stop()  # hover, and land if flying; `stop` waits for it
         for driver in drivers:
             driver.stop()
         if keeper is not None:
@@ -94,7 +94,7 @@ def run(drivers):
 
 
 def _make_keeper(drivers):
-    """Keeper of their vehicles; None: there is none."""
+    """Start the Keeper of the drivers' vehicles; None if it is not wanted or does not start."""
     if not all(driver.wants_keeper for driver in drivers):
         return None
     try:
@@ -108,14 +108,14 @@ def _make_keeper(drivers):
 
 
 class ArdroneDriver:
-    """Everything of one vehicle; make it after rospy.init_node, then `start` it."""
+    """The driver of one vehicle; make it after rospy.init_node, then `start` it."""
 
     def __init__(self, tree, prefix="", is_alone=True, arguments=()):
         """tree: parameters.  prefix: of topics and services.  is_alone: its failure ends the node.
 
-        arguments: command line, see parse_params. ValueError naming what is wrong and the cure.
+        arguments: command line, see parse_params. ValueError that says what is wrong and how to fix it.
         """
-        # Launch files of the laboratory set it for the group of the camera's nodes, not for the driver
+        # Launch files of the laboratory set this for the group of the camera's nodes, not for the driver
         url = tree.get("camera_info_url") or rospy.get_param(prefix + "ardrone/camera_info_url", "")
         self._configuration = configuration = parse_params(dict(tree, camera_info_url=url), arguments)
         self._params = params = configuration.params
@@ -128,10 +128,10 @@ class ArdroneDriver:
         self._waiting = deque(maxlen=REALTIME_BACKLOG if params.realtime_navdata else 1)  # newest packets to publish
         self._arrived = threading.Event()
         self._replacing = threading.Lock()
-        self._has_taken_over = False  # the vehicle from the keeper of a driver that died
-        self.udp = self._make_udp()  # the UdpThread in service: another one after a failure
+        self._has_taken_over = False  # the vehicle was taken over from the keeper of a driver that died
+        self.udp = self._make_udp()  # the current UdpThread: replaced after a failure
         self._channel = configuration.video_channel
-        self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
+        self._channel_set_in = 0  # number of the vehicle's configuration in which the channel was chosen
         self._video = Video(
             self.address,
             [tf_frame(params.drone_frame_id + suffix) for suffix in CAMERA_FRAMES],
@@ -142,11 +142,11 @@ class ArdroneDriver:
             self._report,
             prefix,
         )
-        self._video_configured = 0  # the configuration of the vehicle that the video knows of
+        self._video_configured = 0  # number of the vehicle's configuration that the video was told of
         self._telemetry = None
         self._failing_since_s = None  # publishing has failed without a success since then
-        # what /diagnostics counts: cmd_vel that is not finite; realtime_navdata faster than it can be published;
-        # header valid, content not; failures to convert or publish
+        # counters of /diagnostics: cmd_vel that is not finite; realtime_navdata faster than it can be published;
+        # packets with a valid header but invalid content; failures to convert or publish
         self._counts = dict.fromkeys(("refused cmd_vel", "skipped packets", "bad packets", "packets not published"), 0)
         self._battery_pct = self._flight_state = self._link_quality = "unknown"
         self._growth = Growth()
@@ -185,7 +185,7 @@ class ArdroneDriver:
         )
 
     def start(self, keeper=None, place=0):
-        """Look for the vehicle. keeper: Keeper that has it in this place of its list."""
+        """Start looking for the vehicle. keeper: Keeper.   place: index of the vehicle in the keeper's list."""
         self._keeper, self._place = keeper, place
         rospy.loginfo("%slooking for the vehicle at %s", self._who, self.address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
@@ -193,7 +193,7 @@ class ArdroneDriver:
         self._video.stream.start()
 
     def stop(self):
-        """End what `start` has begun."""
+        """Stop what `start` has started."""
         self.udp.stop()
         self._video.stream.stop()
 
@@ -221,17 +221,17 @@ class ArdroneDriver:
             rospy.Service(prefix + "ardrone/" + name, service_type, answer)
 
     def _answer(self, name, is_empty, handler, request):
-        """Of a service: whether its order was given. handler: gives it, and returns a text when it refuses."""
+        """Return the response of a service. handler: gives the order, or returns the reason why it refuses."""
         phase = self._link.phase
         why = handler(request) if phase is Phase.READY else "the vehicle is not ready (%s)" % phase.value
         if why:
             rospy.logwarn("%s refused: %s", name, why)
-            if is_empty:  # an answer that has no field that could say so
+            if is_empty:  # the response has no field for the result
                 raise rospy.ServiceException("%s refused: %s" % (name, why))
         return EmptyResponse() if is_empty else not why
 
     def _post(self, order, *arguments):
-        """Hand an order (a method of DroneLink) to the UDP thread in service."""
+        """Hand an order (a method of DroneLink) to the current UDP thread."""
         udp = self.udp
         udp.post(order, udp.link, *arguments)
 
@@ -295,7 +295,7 @@ class ArdroneDriver:
             threading.Thread(target=self._begin_again, args=(self.udp,), name="ardrone_restart", daemon=True).start()
 
     def _ends_node(self, error):
-        """Report a failure. Alone the node ends, and is started again; beside others only this vehicle's part is."""
+        """Report a failure; return whether the node ends: with one vehicle yes, with several this driver restarts."""
         if self._is_alone:
             rospy.logfatal("the driver failed, the node ends: %r", error)
             rospy.signal_shutdown("the driver failed: %r" % error)
@@ -304,10 +304,10 @@ class ArdroneDriver:
         return self._is_alone
 
     def _begin_again(self, failed):
-        """Hover, land if flying, and replace the UdpThread that was in service when something failed."""
+        """Hover, land if flying, and replace `failed`, the UdpThread that was current when something failed."""
         failed.stop()
         time.sleep(RESTART_S)
-        with self._replacing:  # the UDP thread and the one that publishes may have failed together
+        with self._replacing:  # the UDP thread and the publishing thread may have failed together
             if not rospy.is_shutdown() and self.udp is failed:
                 self.udp = self._make_udp()
                 self.udp.start()
@@ -337,8 +337,8 @@ class ArdroneDriver:
                     time.sleep(LOOPS_PER_CAMERA_FRAME * self._period_s)
                 self._telemetry = self._telemetry or _Telemetry(self._configuration, self._prefix)
                 self._publish_until_shutdown()
-            except Exception as error:  # noqa: PERF203  whatever it is: it must not fly on without telemetry
-                # while ROS shuts down topics close under our feet
+            except Exception as error:  # noqa: PERF203  any failure: it must not fly on without telemetry
+                # on shutdown rospy closes the topics before us
                 if is_closing() or self._ends_node(error):
                     return
                 self._failing_since_s = None
@@ -346,14 +346,14 @@ class ArdroneDriver:
 
     def _publish_until_shutdown(self):
         loop_s = camera_s = time.monotonic()
-        # pictures that are not published at once wait for the loop
+        # pictures that are not published at once wait for this loop
         patience_s = self._period_s * (LOOPS_PER_CAMERA_FRAME if self._params.realtime_video else 1)
         while not rospy.is_shutdown():
             if self._arrived.wait(patience_s) and not self._params.realtime_navdata:
-                time.sleep(max(0.0, loop_s - time.monotonic()))  # the newest packet of a loop
+                time.sleep(max(0.0, loop_s - time.monotonic()))  # publish only the newest packet of a period
                 loop_s = time.monotonic() + self._period_s
             self._arrived.clear()
-            for _ in range(len(self._waiting)):  # what comes meanwhile is for the next loop
+            for _ in range(len(self._waiting)):  # packets that arrive meanwhile are for the next loop
                 self._tolerate(self._publish, self._waiting.popleft())
             now_s = time.monotonic()
             if now_s >= camera_s:
@@ -381,10 +381,12 @@ class ArdroneDriver:
             rospy.logwarn_throttle(REPEAT_WARNING_S, "packet dropped: %s" % error)
 
     def _tolerate(self, work, *arguments):
-        """Do it; one bad packet must not end a flight, unless there were only failures for a while."""
+        """Call `work` and log its failure: one bad packet must not end a flight. Raise after PUBLISH_PATIENCE_S of
+        failures only.
+        """
         try:
             work(*arguments)
-        except Exception as error:  # whatever it is
+        except Exception as error:  # any failure
             now_s = time.monotonic()
             self._failing_since_s = self._failing_since_s or now_s
             if is_closing() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
@@ -394,7 +396,7 @@ class ArdroneDriver:
 
     # --- diagnostics ------------------------------------------------------------------------------------------------
     def _note(self, packet):
-        """Remember what a packet says about the vehicle."""
+        """Store the vehicle's status from a packet, for the diagnostics."""
         demo, wifi = packet.option(Tag.DEMO), packet.option(Tag.WIFI)
         if demo is not None:
             self._battery_pct = demo.vbat_flying_percentage
@@ -441,7 +443,7 @@ class ArdroneDriver:
 
 
 class _Telemetry:
-    """The topics and tf frames that come from navdata. Topics without subscribers are not computed."""
+    """The topics and tf frames made from navdata. Messages without subscribers are not computed."""
 
     def __init__(self, configuration, prefix):
         def publisher(topic, message):
@@ -466,7 +468,7 @@ class _Telemetry:
         )
 
     def publish(self, packet, received_s):
-        """One packet (protocol.navdata.Navdata), received at this time of the monotonic clock."""
+        """Publish one packet (protocol.navdata.Navdata). received_s: time of reception, monotonic clock."""
         stamp = rospy.Time.now() - rospy.Duration.from_sec(time.monotonic() - received_s)
         header = Header(stamp=stamp, frame_id=self._base_frame)
         self._publish_legacy(packet, header)
@@ -501,7 +503,7 @@ class _Telemetry:
             self._tf.publish(TFMessage([conversions.transform_message("odom", self._base_frame, *pose, stamp)]))
 
     def publish_camera_frames(self):
-        """The fixed transforms to both cameras, stamped now."""
+        """Publish the fixed transforms to both cameras, stamped now."""
         if self._tf.get_num_connections():
             for transform in self._camera_frames.transforms:
                 transform.header.stamp = rospy.Time.now()

@@ -16,7 +16,7 @@ _READ_ELSEWHERE = {"cov", "tf_prefix", *WRITABLE_KEYS}
 
 @dataclass(frozen=True)
 class DriverParams(Settings):
-    """What the node itself reads, under the names and with the defaults of the original driver."""
+    """Parameters of the node itself, with the names and defaults of the original driver."""
 
     drone_ip: Name = DEFAULT_ADDRESS  # host name or IPv4 address of the vehicle
     looprate: Positive = 50.0  # [Hz]
@@ -39,31 +39,31 @@ _Enabled = make_dataclass(
 
 
 class Configuration(NamedTuple):
-    """All that the parameters of one vehicle say."""
+    """The settings of one vehicle from its parameters."""
 
     params: DriverParams
     options: list  # names of the enabled selective messages, e.g. "demo"
     covariances: list  # of imu: acceleration, angular velocity, orientation; tuples of 9
-    texts: dict  # of settings.wanted_texts
-    warnings: list  # texts about parameters that are not used, or are changed
+    texts: dict  # from settings.wanted_texts
+    warnings: list  # texts about parameters that are unused or were replaced
 
     @property
     def lost_s(self):
-        """Silence [s] after which vehicle and driver take each other for lost; whole seconds, at least 1."""
+        """Silence [s] after which vehicle and driver each consider the other lost; whole seconds, at least 1."""
         return max(1.0, float(self.texts["com_watchdog"]))
 
     @property
     def video_channel(self):
-        """After the configuration: 0 front, 1 bottom."""
+        """Camera channel after the configuration: 0 front, 1 bottom."""
         return int(self.texts.get("video_channel", 0)) % 2
 
 
 def parse_params(tree, arguments=()):
-    """Configuration.
+    """Return the Configuration.
 
     tree: dict of the private parameters as the parameter server holds them (nested for cov/...).
-    arguments: command line without the program's name and without ROS remappings; "-ip A.B.C.D" is understood and
-    wins over ~drone_ip.  ValueError on a bad value.
+    arguments: command line without the program's name and without ROS remappings; "-ip A.B.C.D" is accepted and
+    overrides ~drone_ip.  ValueError on a bad value.
     """
     if arguments:
         if len(arguments) != 2 or arguments[0] not in ("-ip", "--ip"):
@@ -78,7 +78,7 @@ def parse_params(tree, arguments=()):
 
 
 def _covariance(given, name, warnings):
-    """9 numbers; zeros, as in the original, when there are none, or others."""
+    """Return the 9 numbers of a covariance; zeros, as in the original, if it is missing or invalid."""
     value = given.get(name) if isinstance(given, dict) else given
     if isinstance(value, list) and len(value) == 9 and all(isinstance(x, (int, float)) for x in value):
         return tuple(map(float, value))

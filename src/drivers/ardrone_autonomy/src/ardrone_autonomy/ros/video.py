@@ -29,23 +29,23 @@ def _advertise(name):
 
 
 class Video:
-    """Pictures of both cameras, and of the selected one; nothing is received while none has a subscriber.
+    """Topics of both cameras and of the selected one; the video is received only while one of them has a subscriber.
 
     address: IPv4 address of the vehicle.
     frames: frame ids of front and bottom camera.
-    channel: that the vehicle sends after its configuration, 0 front, 1 bottom.
+    channel: channel that the vehicle sends after its configuration, 0 front, 1 bottom.
     camera_info_urls: of front and bottom camera, "" = the default of camera_info_manager.
-    latency_s: from exposure to reception, taken off the stamps.
+    latency_s: from exposure to reception, subtracted from the stamps.
     realtime: publish every picture at once; otherwise `tick` publishes the newest one.
     report: function (level, text).
-    prefix: of the topics and services.
+    prefix: prefix of the topics and services.
     """
 
     def __init__(self, address, frames, channel, camera_info_urls, latency_s, realtime, report, prefix=""):
         self._frames = frames
         self._realtime = realtime
         self._waiting = deque(maxlen=1)  # (Picture, channel) that is not published yet
-        self.tracker = CameraTracker(channel)  # to be told what the vehicle is told
+        self.tracker = CameraTracker(channel)  # must be told every camera order to the vehicle
         self._selected = _advertise(prefix + "ardrone")
         self._cameras = tuple(_advertise(prefix + "ardrone/" + name) for name in CAMERA_NAMES)
         self._managers = tuple(
@@ -61,12 +61,12 @@ class Video:
         self._superseded = 0  # a newer picture came before the loop did
         self._of_unknown_camera = 0
         self._growth = Growth()
-        self.stream = VideoStream(address, self._on_picture, report, latency_s)  # to be started and stopped
+        self.stream = VideoStream(address, self._on_picture, report, latency_s)  # the caller starts and stops it
 
     def tick(self, is_ready):
-        """Once per loop: open or close the stream as subscribers come and go, publish the newest picture.
+        """Call once per loop: opens or closes the stream as subscribers come and go, publishes the newest picture.
 
-        is_ready: the vehicle is configured; before, it is unknown which camera it would send.
+        is_ready: the vehicle is configured; before that it is unknown which camera it sends.
         """
         self.stream.want(
             is_ready
@@ -77,7 +77,7 @@ class Video:
 
     # --- pictures -------------------------------------------------------------------------------------------------
     def _on_picture(self, picture):
-        """In the thread of the stream."""
+        """Handle a picture; called in the thread of the stream."""
         channel = self.tracker.camera(picture.header, picture.is_key, picture.connection, picture.received_s)
         if channel is None:
             self._of_unknown_camera += 1
@@ -90,8 +90,8 @@ class Video:
     def _publish(self, picture, channel):
         try:
             self._send(picture, channel)
-        except Exception as error:  # whatever it is: pictures are not worth a landing
-            if not is_closing():  # then topics close under our feet
+        except Exception as error:  # any failure: pictures are not worth a landing
+            if not is_closing():  # on shutdown rospy closes the topics before us
                 self._unpublished += 1
                 rospy.logerr_throttle(REPEAT_WARNING_S, "a picture could not be published: %r" % error)
 
@@ -129,7 +129,7 @@ class Video:
 
     # --- diagnostics ------------------------------------------------------------------------------------------------
     def fill(self, status):
-        """A task of diagnostic_updater."""
+        """Fill a status; a task of diagnostic_updater."""
         stream, decoder = self.stream, self.stream.decoder
         _, rates_hz = self._growth({"pictures": self._published})
         if not stream.wanted:

@@ -13,7 +13,7 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import load_params
 
 RETRY_S = 1.0
-STALL_S = 0.3  # a node that wakes later than it wanted by more was suspended: what was pressed meanwhile is old
+STALL_S = 0.3  # a node that wakes up later than planned by more was suspended: buttons pressed meanwhile are old
 READ_BYTES = 64 * 8
 
 
@@ -30,7 +30,7 @@ class JoyNode:
         self._growth = Growth()
         self._wake_read, self._wake_write = os.pipe()
         rospy.on_shutdown(self._wake)
-        # Not 1, as the original has it: a press and its release that are read together must both arrive.
+        # The original has 1. Here 10: a press and its release that are read together must both arrive.
         self._pub = rospy.Publisher("joy", Joy, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("Joystick Driver Status", self._diagnose)
@@ -38,7 +38,7 @@ class JoyNode:
         rospy.Subscriber("joy/set_feedback", JoyFeedbackArray, self._on_feedback, queue_size=10, tcp_nodelay=True)
 
     def run(self):
-        """Read the joystick until shutdown; a lost or missing one is tried again every second."""
+        """Read the joystick until shutdown; retry a lost or missing one every second."""
         complained = False
         while not rospy.is_shutdown():
             path = self._choose_device()
@@ -73,7 +73,7 @@ class JoyNode:
         return found or path
 
     def _read(self, fd, path):
-        """Publish what comes from an open device; returns when it is gone or at shutdown."""
+        """Publish events of an open device; return when it is gone or at shutdown."""
         reader = RecordReader()
         state = JoyState(self._settings)
         clock = PublishClock(self._settings)
@@ -90,7 +90,7 @@ class JoyNode:
                     continue
                 except OSError:  # unplugged
                     return
-                if not data:  # the other end of a FIFO has gone
+                if not data:  # the other end of a FIFO was closed
                     return
                 for event in reader.feed(data):
                     self._counts["joystick event"] += 1
@@ -100,7 +100,7 @@ class JoyNode:
                         rospy.logwarn_throttle(10.0, text % (path, event.type))
                     if clock.event(urgency, time.monotonic()) and not stood_still:
                         self._publish(state, clock, path)
-                if stood_still:  # only what is so now counts
+                if stood_still:  # publish only the current state
                     rospy.logwarn("joy: the node was suspended; what was pressed and released meanwhile is ignored")
                     self._publish(state, clock, path)
             self._diagnostics.update()

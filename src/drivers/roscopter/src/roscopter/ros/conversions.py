@@ -1,4 +1,4 @@
-"""MAVLink messages -> ROS messages. The units are those of the original: see the definitions in msg/."""
+"""MAVLink messages -> ROS messages. Units as in the original: see the definitions in msg/."""
 
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 
@@ -14,7 +14,7 @@ _IMU_FIELDS = [axis + quantity for quantity in ("acc", "gyro", "mag") for axis i
 
 
 def gps(message, stamp):
-    """GPS_RAW_INT -> NavSatFix; the covariance by the original's rule, of the horizontal dilution of precision."""
+    """GPS_RAW_INT -> NavSatFix; covariance from the horizontal dilution of precision, by the original's rule."""
     fix = NavSatFix(latitude=message.lat / 1e7, longitude=message.lon / 1e7, altitude=message.alt / 1e3)
     fix.header.stamp, fix.header.frame_id = stamp, "base_link"
     has_fix = message.fix_type >= _FIX_3D
@@ -91,6 +91,6 @@ def raw_imu(message, stamp):
 
 
 def same_fields(kind):
-    """Function that fills a message without a header from one whose fields have the same names."""
+    """Return a function that fills a message without header from one whose fields have the same names."""
     names = kind.__slots__
     return lambda message, _stamp: kind(*[getattr(message, name) for name in names])

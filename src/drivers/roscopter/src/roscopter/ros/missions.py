@@ -1,4 +1,4 @@
-"""Waypoints as the services take them -> items of a mission."""
+"""Waypoints of the services -> items of a mission."""
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -11,7 +11,7 @@ _MOST_LATITUDE, _MOST_LONGITUDE = 900_000_000, 1_800_000_000  # [1e-7 deg]
 
 
 def mission_items(waypoints, options):
-    """`Item`s of a list of Waypoints. Raises ValueError that says which of them is not possible, and why."""
+    """Return the `Item`s of a list of Waypoints. Raises ValueError that says which waypoint is invalid, and why."""
     return [_item(waypoint, "waypoint %d" % number, options) for number, waypoint in enumerate(waypoints, 1)]
 
 

@@ -1,7 +1,7 @@
 """The node of driver.py and roscopter_node.py: wires a Link to topics, services and diagnostics.
 
-Callbacks of ROS hand orders over; a service waits for the outcome of its own, in a thread of its own. The thread of the
-link publishes.
+Callbacks of ROS pass orders on; a service waits for the outcome of its order, in its own thread. The thread of the link
+publishes.
 """
 
 import threading
@@ -26,7 +26,7 @@ from roscopter.ros.missions import mission_items
 
 QUEUE_SIZE = 10  # of the telemetry topics
 REPEAT_WARNING_S = 5.0
-MARGIN_S = 2.0  # a service waits this much longer than its order may take
+MARGIN_S = 2.0  # a service waits this much longer than the longest time of its order
 _LOG = {
     "debug": rospy.logdebug,
     "info": rospy.loginfo,
@@ -37,7 +37,7 @@ _LOG = {
 
 
 def main(parse, argv):
-    """Run a node until shutdown; its exit code. parse: `driver_options` or `node_options`.  argv: the command line."""
+    """Run a node until shutdown; return its exit code. parse: driver_options or node_options.  argv: command line."""
     options, ignored = parse(rospy.myargv(argv)[1:])
     low_latency.start("roscopter")
     if ignored:
@@ -50,7 +50,7 @@ def main(parse, argv):
 
 
 class Bridge:
-    """Everything of the node; make it after rospy.init_node, then start its `link`."""
+    """The node; make it after rospy.init_node, then start its `link`."""
 
     def __init__(self, options):
         self._options = options
@@ -70,7 +70,7 @@ class Bridge:
 
     # --- telemetry, in the thread of the link -------------------------------------------------------------------------
     def _advertise(self):
-        """{type of MAVLink message: (publisher, function of message and stamp that makes what is published)}."""
+        """Return {type of MAVLink message: (publisher, function (message, stamp) that makes the ROS message)}."""
 
         def topic(name, kind, convert):
             return rospy.Publisher(name, kind, queue_size=QUEUE_SIZE, tcp_nodelay=True), convert
@@ -114,7 +114,7 @@ class Bridge:
             publisher.publish(convert(message, rospy.Time.now()))
         except Exception as error:  # of any kind: no message may end the link
             if is_closing():
-                return  # topics close under our feet
+                return  # on shutdown rospy closes the topics before us
             self._unpublished += 1
             rospy.logerr_throttle(REPEAT_WARNING_S, "a %s could not be published: %r" % (kind, error))
 
@@ -149,12 +149,12 @@ class Bridge:
 
     def _answer_empty(self, number):
         outcome = self._command(number)
-        if not outcome.is_done:  # the answer has no field that could say so
+        if not outcome.is_done:  # the response has no field for it
             raise rospy.ServiceException(outcome.why)
         return EmptyResponse()
 
     def _command(self, number):
-        """Outcome of a command of APMCommand."""
+        """Carry out a command of APMCommand; return its Outcome."""
         if number == srv.APMCommandRequest.RETURN_RC_CONTROL:
             self.link.post(self.link.autopilot.release)
             return orders.Outcome(True)
@@ -166,7 +166,7 @@ class Bridge:
         return self._wait(order.longest_s, self.link.autopilot.begin, order)
 
     def _order(self, number):
-        """The Order of a command's number. Raises ValueError."""
+        """Return the Order for a command number. Raises ValueError."""
         options, command = self._options, srv.APMCommandRequest
         mode_s, arm_s, launch_s = (
             milliseconds / 1000.0
@@ -200,7 +200,7 @@ class Bridge:
         return self._wait(longest_s, self.link.autopilot.send_mission, items).is_done
 
     def _wait(self, longest_s, order, *arguments):
-        """Hand an order over, and wait for its Outcome."""
+        """Post an order, and wait for its Outcome."""
         ended, outcomes = threading.Event(), []
 
         def on_end(outcome):

@@ -1,4 +1,4 @@
-"""Message definitions here against those that a device was built with; payloads to messages and back."""
+"""Checks message definitions here against those that a device was built with; payloads to messages and back."""
 
 import functools
 import io
@@ -10,12 +10,12 @@ from rosserial_python.protocol import PayloadError
 
 
 class TypesError(ValueError):
-    """A topic of the device cannot be joined to the graph: its definition is another one here, or missing."""
+    """A topic of the device cannot be connected to the graph: its definition is different here, or missing."""
 
 
 @functools.cache
 def raw_class(message_class):
-    """The class, but a message of it keeps its bytes in `raw` and is not looked into."""
+    """Return a variant of the class whose messages keep their bytes in `raw` and are not decoded."""
 
     def deserialize(self, data):
         self.raw = bytes(data)
@@ -46,20 +46,20 @@ def known_class(topic, half=None):
 
 
 def read_message(message_class, payload):
-    """Message of these bytes and no others. Raises PayloadError."""
+    """Decode a message that consists of exactly these bytes. Raises PayloadError."""
     message = message_class()
     try:
         message.deserialize(payload)
         again = serialised(message)
     except (genpy.MessageException, ValueError, MemoryError) as error:
         raise PayloadError("%s: %s" % (message_class._type, error)) from None
-    if again != payload:  # genpy reads what is too long, too short, or no text
+    if again != payload:  # genpy accepts payloads that are too long or too short, or strings that are not UTF-8
         raise PayloadError("%s: %d bytes that are not such a message" % (message_class._type, len(payload)))
     return message
 
 
 def serialised(message):
-    """Bytes of a message. Raises genpy.SerializationError."""
+    """Return the bytes of a message. Raises genpy.SerializationError."""
     data = io.BytesIO()
     message.serialize(data)
     return data.getvalue()

@@ -1,4 +1,4 @@
-"""The node: one device, or with ~fork_server as many as connect; what it tells of them on ~link and /diagnostics."""
+"""The node: one device, or with ~fork_server all that connect; their status on ~link and /diagnostics."""
 
 import contextlib
 import functools
@@ -24,18 +24,18 @@ from rosserial_python.ros.topics import Topics
 from rosserial_python.session import Session
 from rosserial_python.settings import LISTEN, SerialParams
 
-STATUS = "rosserial_python"  # on /diagnostics, as the original's
+STATUS = "rosserial_python"  # name on /diagnostics, as in the original
 _TCP_PORT, _FORK = "/rosserial_embeddedlinux/tcp_port", "/rosserial_embeddedlinux/fork_server"
 _STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", State.UP: "the device answers"}
 _REPORT_S = 1.0
 _LOOK_S = 0.2
-_START_S = 10.0  # what a line leads to may begin after the node
-_AGAIN_S = 5.0  # between two complaints about the same
-_MOST_DEVICES = 16  # each has threads of its own
+_START_S = 10.0  # the other end of a line may start after the node
+_AGAIN_S = 5.0  # between two log lines about the same cause
+_MOST_DEVICES = 16  # each has its own threads
 
 
 def read_params(arguments):
-    """SerialParams of the parameter server and of the command line: [port [TCP port]]. Raises ValueError."""
+    """Read SerialParams from the parameter server and the command line: [port [TCP port]]. Raises ValueError."""
     (params,) = load_params(SerialParams(), lenient=True)
     for key, name in ((_TCP_PORT, "tcp_port"), (_FORK, "fork_server")):
         if not rospy.has_param("~" + name) and rospy.has_param(key):
@@ -54,15 +54,15 @@ def read_params(arguments):
 
 
 class Device:
-    """A device, its topics, and what is told of it."""
+    """A device, its topics, and its status."""
 
     def __init__(self, port, params, publish, once=False):
-        """publish: takes a SerialLink.  once: when its line ends it is over."""
+        """publish: function that takes a SerialLink.  once: do not reopen the line when it ends."""
         self._publish = publish
-        self._told = (None, None)  # state and cause
+        self._told = (None, None)  # last reported state and cause
         self._logged_s = {}  # {cause: when}
         self._began_s = time.monotonic()
-        self._excused = False  # what is wrong was no error yet
+        self._excused = False  # the current fault was logged as info, not yet as error
         self._telling = threading.Lock()
         self._is_alone = not once
         self.session = Session(port, params.silence, self._on_packet, self._on_failure, self.tell, once=once)
@@ -73,20 +73,20 @@ class Device:
         guarded(functools.partial(self.topics.on_packet, packet), "a packet of the device")()
 
     def _on_failure(self, error):
-        """Alone the node ends, and is started again; beside others only this line does."""
+        """Report a failure. With a single device the node ends, and is started again; else only this line ends."""
         what = "the node" if self._is_alone else "it"
         rospy.logfatal("%s: the line failed, %s ends: %r", self.session.port.name, what, error)
         if self._is_alone:
             rospy.signal_shutdown("the line failed: %r" % error)
 
     def _seen(self):
-        """(Facts, limit [s], Cause) of now."""
+        """Return the current (Facts, limit [s], Cause)."""
         facts, limit_s = self.session.link.snapshot()
         oversized_s = max(self.topics.oversized.values(), default=-math.inf)
         return facts, limit_s, cause_of(facts, time.monotonic(), self.session.error, self.topics.refused, oversized_s)
 
     def tell(self, again=False):
-        """Log and publish the state when it is another one; publish it in any case when it is time `again`."""
+        """Log and publish the state when it has changed; again=True: publish it in any case."""
         with self._telling:
             facts, limit_s, cause = self._seen()
             state, before = facts.state, self._told
@@ -100,7 +100,7 @@ class Device:
         name = self.session.port.name
         if cause is Cause.NONE:
             self._excused = False
-        if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
+        if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # for the latter two each topic has its own log line
             if state != before[0] and (state is State.UP or before[0] in (None, State.UP)):  # not each attempt to open
                 rospy.loginfo("%s: %s", name, _STATES[state])
         elif time.monotonic() - self._logged_s.get(cause, -math.inf) > _AGAIN_S:
@@ -109,11 +109,11 @@ class Device:
             log = rospy.logwarn if cause in WARNINGS else rospy.logerr
             self._excused = cause is Cause.UNREACHABLE and self._is_young()
             if self._excused:
-                log = rospy.loginfo  # what it connects to starts beside it
+                log = rospy.loginfo  # the other end may still be starting
             log("%s: %s%s", name, TEXTS[cause], " (%s)" % error if error is not None else "")
 
     def _is_young(self):
-        """It has only just begun, and was never connected."""
+        """Whether it has started recently and was never connected."""
         heard = math.isfinite(self.session.link.facts.heard_s)
         return not heard and time.monotonic() - self._began_s < _START_S
 
@@ -136,7 +136,7 @@ class Device:
         return {**facts.counts, **self.topics.counts}
 
     def fill(self, status):
-        """Its status on /diagnostics."""
+        """Fill the device's status on /diagnostics."""
         facts, limit_s, cause = self._seen()
         level = DiagnosticStatus.WARN if cause in WARNINGS else DiagnosticStatus.ERROR
         summarise(
@@ -154,20 +154,20 @@ class Device:
         return status
 
     def close(self):
-        """Tell the device to be quiet, and leave the graph."""
+        """Tell the device to stop sending, and unregister its topics and services."""
         self.session.stop()
         self.topics.close()
 
 
 def _fill_port(port, status):
-    """The status of a ListeningPort on /diagnostics."""
+    """Fill the status of a ListeningPort on /diagnostics."""
     status.summary(DiagnosticStatus.OK, "listens")
     add_all(status, {"strangers refused": port.strangers})
     return status
 
 
 class SerialNode:
-    """Made after rospy.init_node. Raises ValueError."""
+    """The node; make it after rospy.init_node. Raises ValueError."""
 
     def __init__(self, arguments=None):
         self._params = params = read_params(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
@@ -206,7 +206,7 @@ class SerialNode:
             device.tell(again=True)
 
     def _listen(self, port):
-        """One device for each connection."""
+        """Add one device for each connection, and remove ended ones."""
         while not self._over.is_set():
             select.select([port], [], [], _LOOK_S)
             accepted = port.accept()
@@ -223,7 +223,7 @@ class SerialNode:
         port.close()
 
     def close(self):
-        """End all threads, with the lines closed."""
+        """Close all lines and end all threads."""
         self._over.set()
         if self._listener is not None:
             self._listener.join(1.0)

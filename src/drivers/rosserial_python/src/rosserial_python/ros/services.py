@@ -1,4 +1,4 @@
-"""Services across the line: those that the device answers, and those that it calls. Each is announced in two halves."""
+"""Services of a device: those that it offers, and those that it calls. Each is announced in two halves."""
 
 import queue
 import threading
@@ -9,7 +9,7 @@ from rosserial_python.link import State
 from rosserial_python.protocol import Id
 from rosserial_python.ros.definitions import known_class, read_message, serialised
 
-_ANSWER_S = 5.0  # a device that has not answered by then does not any more
+_ANSWER_S = 5.0  # a device that has not answered by then will not answer
 
 
 class _Half:
@@ -26,14 +26,14 @@ class _Half:
         self.topics.session.confirm(topic)
 
     def from_device(self, _payload):
-        """Nothing comes to most halves."""
+        """Do nothing: most halves receive nothing from the device."""
 
     def close(self):
-        """Nothing to leave."""
+        """Do nothing: most halves are not registered in the graph."""
 
 
 class ServerResponse(_Half):
-    """Answers of a service of the device."""
+    """Responses of a service that the device offers."""
 
     message = "_response_class"
 
@@ -46,13 +46,13 @@ class ServerResponse(_Half):
 
 
 class ServerRequest(_Half):
-    """Requests to a service of the device: the service itself."""
+    """Requests to a service that the device offers: holds the ROS service."""
 
     message = "_request_class"
 
     def __init__(self, topics, topic):
         super().__init__(topics, topic)
-        self._turn = threading.Lock()  # a device answers in the order of the questions, without saying to which
+        self._turn = threading.Lock()  # one call at a time: a device's answer does not name its request
         self._service = rospy.Service(topic.name, self.service_class, self._call)
         rospy.loginfo("serves %s [%s]", topic.name, topic.type)
 
@@ -65,7 +65,7 @@ class ServerRequest(_Half):
             if not self.topics.fits(topic, len(data)):
                 raise rospy.ServiceException("%s: the request exceeds the device's buffer" % topic.name)
             answers = half.answers
-            while not answers.empty():  # one that came too late
+            while not answers.empty():  # an answer that came too late
                 answers.get()
             self.topics.session.reply(topic.topic_id, data)
             try:
@@ -78,7 +78,7 @@ class ServerRequest(_Half):
 
 
 class ClientResponse(_Half):
-    """Answers to a service call of the device."""
+    """Responses to service calls of the device."""
 
     message = "_response_class"
 
@@ -98,7 +98,7 @@ class ClientRequest(_Half):
         threading.Thread(target=self._call, args=(request,), name="call of %s" % self.topic.name, daemon=True).start()
 
     def _call(self, request):
-        """In a thread of its own: the device waits, its line does not."""
+        """Call the service. Runs in its own thread, so that the line goes on while the device waits."""
         try:
             response = self._proxy(request)
         except (rospy.ServiceException, rospy.ROSException) as error:

@@ -1,7 +1,7 @@
 """Topics and parameters of one device in the graph; its services are in `services`.
 
-The session's thread hands packets over; what may wait for the master (registering, parameters, service calls) is done
-by a thread of this module's own, so that the link's watch never stands still.
+The session's thread delivers packets. Calls that may wait for the master (registering, parameters, service calls) run
+in a separate thread of this module, so that the monitoring of the link never blocks.
 """
 
 import contextlib
@@ -28,33 +28,33 @@ from rosserial_python.ros.definitions import TypesError, known_class, raw_class,
 _PUBLISHER_QUEUE = 10  # as in the original
 _BUFFER_BYTES = 2**18
 _JOBS = 256  # that may wait for the master
-_MOST_TOPICS = 256  # of a device, with those that are refused; a damaged or hostile one announces new ones for ever
-_REPEAT_S = 5.0  # between equal complaints
+_MOST_TOPICS = 256  # of a device, including refused ones; a faulty or hostile device may announce new ones endlessly
+_REPEAT_S = 5.0  # between equal log lines
 _STAMP = struct.Struct("<4xII")  # of std_msgs/Header
 _LOG = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr, rospy.logfatal)
-_TOO_LARGE = {  # what helps, by type
+_TOO_LARGE = {  # advice by message type
     "risc_msgs/Controls": "send it only its own vehicle's commands (NAMESPACE/controls), not the fleet's (/controls)",
 }
 
 
 class Topics:
-    """Everything that one device announces. session: `post`, `reply`, `confirm`, `ask_topics` are used."""
+    """Topics and services that one device announces. session: uses its `post`, `reply`, `confirm`, `ask_topics`."""
 
     def __init__(self, session, max_age_s):
         self._session, self._max_age_s = session, max_age_s
         self._kinds = {Id.PUBLISHER: FromDevice, Id.SUBSCRIBER: ToDevice, **services.HALVES}
-        self._members = {}  # {(id, topic id): (Topic, what serves it)}
-        self._doubted = {}  # {(id, topic id): Topic that contradicts what is served, once}
+        self._members = {}  # {(id, topic id): (Topic, object that serves it)}
+        self._doubted = {}  # {(id, topic id): Topic that contradicts the served one, announced once so far}
         self._jobs = queue.Queue(_JOBS)
         self._refused = {}  # {name of a topic: (Topic, why)}
-        self._oversized = {}  # {name of a topic: when last}
+        self._oversized = {}  # {name of a topic: time of its last oversized message}
         self.counts = {"bad payloads": 0, "too large": 0, "late": 0}
         self._worker = threading.Thread(target=self._work, name="registrations", daemon=True)
         self._worker.start()
 
     @property
     def refused(self):
-        """{topic: why it is not joined}."""
+        """Refused topics: {topic: reason}."""
         return {name: why for name, (_, why) in list(self._refused.items())}
 
     @property
@@ -63,17 +63,17 @@ class Topics:
         return dict(self._oversized)
 
     def close(self):
-        """Leave the graph."""
-        with contextlib.suppress(queue.Full):  # of a master that hangs: its thread ends with the program
+        """Unregister all topics and services."""
+        with contextlib.suppress(queue.Full):  # the master hangs: the worker ends with the program
             self._jobs.put_nowait(None)
-        self._worker.join(1.0)  # a master that hangs is not waited for
+        self._worker.join(1.0)  # do not wait longer if the master hangs
         for _, member in list(self._members.values()):
             member.close()
         self._members.clear()
 
     # --- from the device: nothing here waits -----------------------------------------------------------------------
     def on_packet(self, packet):
-        """One sound packet."""
+        """Handle one valid packet."""
         topic_id, payload = packet
         try:
             if topic_id in protocol.ANNOUNCEMENTS:
@@ -101,7 +101,7 @@ class Topics:
         elif self._refused.get(topic.name, (None,))[0] == topic:
             return
         elif known is not None and self._doubted.get(key) != topic:
-            self._doubted[key] = topic  # another program, or damage that the sum does not see: the next one tells
+            self._doubted[key] = topic  # another program, or damage that the checksum misses: ask again to find out
             self._session.ask_topics()
         elif len(self._members) + len(self._refused) >= _MOST_TOPICS and known is None:
             raise PayloadError("the device has announced %d topics; further topics are ignored" % _MOST_TOPICS)
@@ -176,14 +176,14 @@ class Topics:
             self._session.reply(topic_id, data)
 
     def member(self, kind, name):
-        """What serves the topic, or half of a service, of this id and name; None if there is none."""
+        """Return the object that serves the topic, or half of a service, of this id and name; None without one."""
         for (its_kind, _), (topic, member) in list(self._members.items()):
             if its_kind == kind and topic.name == name:
                 return member
         return None
 
     def fits(self, topic, size):
-        """Whether a message of so many bytes fits into the device; says so if not."""
+        """Whether a message of `size` bytes fits into the device's buffer; logs it if not."""
         if size <= topic.buffer_bytes:
             return True
         self.counts["too large"] += 1
@@ -203,9 +203,9 @@ class Topics:
         return False
 
     def expires_s(self, ages, raw):
-        """Until when a message that begins with a header may be sent, monotonic clock; None: it is too late.
+        """Time until which a message that begins with a header may be sent, monotonic clock; None: it is too late.
 
-        A message without a stamp may always.
+        Infinite for a message without a stamp.
         """
         seconds, nanoseconds = _STAMP.unpack_from(raw)
         if not (seconds or nanoseconds):
@@ -242,7 +242,7 @@ class FromDevice:
 
 
 class ToDevice:
-    """A topic that the device subscribes to: the newest message goes to it at once."""
+    """A topic that the device subscribes to: the newest message is sent at once."""
 
     def __init__(self, topics, topic):
         self._topics, self._topic = topics, topic
@@ -269,7 +269,7 @@ class ToDevice:
         self._topics.session.confirm(topic)
 
     def from_device(self, _payload):
-        """Nothing comes."""
+        """Do nothing: the device sends nothing here."""
 
     def close(self):
         self._subscriber.unregister()
