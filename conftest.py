@@ -1,14 +1,14 @@
-"""For all tests: the first tier and the second, which only --all runs; and no stopwatch on what hypothesis makes up."""
+"""Pytest set-up of all tests: two tiers, the second one only with --all; and no time limits for hypothesis."""
 
 import gc
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-FIRST, SECOND = "first tier", "second tier"  # of tests, for hypothesis
+FIRST, SECOND = "first tier", "second tier"  # names of hypothesis profiles
 LEFT = pytest.StashKey[int]()  # how many tests are left for --all
 
-# neither an example nor making one up has a limit; the first tier tries the same ones every time
+# no time limit for running or generating an example; the first tier tries the same examples every time
 NO_STOPWATCH = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile(FIRST, derandomize=True, **NO_STOPWATCH)
 settings.register_profile(SECOND, max_examples=1000, **NO_STOPWATCH)
@@ -24,7 +24,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Tests live as long as the session: to look for garbage among them takes a fifth of the time, here and later."""
+    """Keep the garbage collector off the tests: they live all session, and scanning them takes a fifth of the time."""
     gc.disable()
     try:
         return (yield)
@@ -51,13 +51,13 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_sessionfinish(session):
-    if hasattr(session.config, "workeroutput"):  # one of several side by side: who reports has collected nothing
+    if hasattr(session.config, "workeroutput"):  # an xdist worker: the controller, which reports, has collected nothing
         session.config.workeroutput["left"] = session.config.stash.get(LEFT, 0)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node):
-    node.config.stash[LEFT] = getattr(node, "workeroutput", {}).get("left", 0)  # equal for all of them
+    node.config.stash[LEFT] = getattr(node, "workeroutput", {}).get("left", 0)  # equal for all workers
 
 
 def pytest_terminal_summary(terminalreporter, config):

@@ -58,7 +58,7 @@ class MachineCode:
         return found
 
     def close(self):
-        """Nothing is open."""
+        """Do nothing: there is nothing to close."""
 
 
 def configured(folder, changes=(), **constants):
@@ -94,7 +94,7 @@ def build(sketch, folder):
 
 
 def compile_only(sketch, folder):
-    """Without linking: the native port's functions are the Arduino core's."""
+    """Compile without linking: the functions of the native port are in the Arduino core."""
     subprocess.run(
         [str(FIRMWARE / "arm/build.sh"), str(sketch), str(pathlib.Path(folder) / "dueppm.o"), "-c"], check=True
     )
@@ -116,7 +116,7 @@ class Timer:
         return (self.due.now - self.zero) // 2 % (1 << 32) if self.running else 0
 
     def schedule(self):
-        """When RA and RC match next; one that the counter has passed matches after its whole round of 102 s."""
+        """Set when RA and RC match next. A value that the counter has passed matches after a full round of 102 s."""
         if not self.running:
             return
         counter = self.counter()
@@ -171,7 +171,7 @@ class Timer:
         return min(self.ra_at, self.rc_at)
 
     def happen(self):
-        """The match that is due."""
+        """Carry out the match that is due."""
         if self.ra_at < self.rc_at:
             at, self.ra_at = self.ra_at, NEVER
             self.output(self.mode >> 16 & 3, at)
@@ -261,8 +261,8 @@ class Uart:
 class Due:
     """One board.
 
-    rng: of how far into loop() the next interrupt comes; without it at its end.
-    priorities=False: an interrupt controller without them, where each handler waits for the others.
+    rng: draws where in loop() the next interrupt comes; None = at the end of loop().
+    priorities=False: an interrupt controller without priorities, where each handler waits for the others.
     fine: interrupts between any two instructions, five times slower; otherwise only where a jump ends or begins.
     """
 
@@ -274,14 +274,14 @@ class Due:
         self.timer, self.uart = Timer(self), Uart(self)
         self.systick_at, self.systick_cycles, self.systick_pending = NEVER, 0, False
         self.enabled, self.priority = set(), {TIMER: 0, UART: 0, SYSTICK: 0}
-        self.masked_until = 0  # [cycles] a program that masks all interrupts until then
+        self.masked_until = 0  # [cycles] all interrupts are masked until then
         self.active = []  # exceptions whose handlers run, the outermost first
         self.pio = {"peripheral": 0, "b": 0, "output": 0, "data": 0}
         self.edges, self.pin = [], None  # (ticks, level)
         self.told_after = []  # [cycles] from each RC match to its handler's write of RC
         self.entered_after = []  # [cycles] from each RC match to the handler's first instruction
         self.deadline, self.idle, self.leaving, self.rounds = 0, False, False, 0
-        self.cycles = {}  # (address, bytes): of that code
+        self.cycles = {}  # {(address, size [bytes]): cycles of that code}
         uc = self.uc = Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M3)
         uc.mem_map(FLASH, 512 << 10)
@@ -367,7 +367,7 @@ class Due:
         return bool(self.pio["data"] & self.pio["output"] & LED_PIN)
 
     def sooner(self, cycle):
-        """The instructions that run now set something going that happens before they were to stop."""
+        """Stop the running instructions at this cycle already: they have caused an event that comes first."""
         self.deadline = min(self.deadline, cycle)
 
     def period_told(self):
@@ -377,7 +377,7 @@ class Due:
     # --- the core
 
     def on_code(self, uc, address, size, data):
-        """An instruction, or a run without a jump, begins: it takes its cycles, or stops where something is due."""
+        """Count the cycles of an instruction (or run without a jump) that begins, or stop if an event is due first."""
         if address == self.loop and not self.active:
             self.rounds += 1
             if self.rounds > 2:  # two passes without an interrupt: a third one would do the same
@@ -405,7 +405,7 @@ class Due:
         self.leaving = True
 
     def execute(self, until):
-        """Runs instructions until that cycle, the next event, the end of a handler, or a loop() with nothing to do."""
+        """Run instructions until that cycle, the next event, the end of a handler, or a loop() with nothing to do."""
         self.deadline, self.leaving, self.idle = until, False, False
         try:
             self.uc.emu_start(self.pc | 1, 0xFFFFFFFE)
@@ -474,7 +474,7 @@ class Due:
                     self.leave()
                 elif self.idle:
                     self.rounds = 0
-                    # the next interrupt meets loop() anywhere
+                    # the next interrupt comes anywhere in loop()
                     early = self.rng.randrange(3000) if self.rng is not None else 0
                     self.now = max(self.now, self.deadline - early)
                 continue

@@ -1,4 +1,4 @@
-"""Whole flights for tests: started, waited for, ended whatever happens."""
+"""Whole flights for tests: start them, wait for them, and end them in any case."""
 
 import contextlib
 import json
@@ -51,7 +51,7 @@ def finish(process, folder, timeout_s=TIMEOUT_S):
 
 
 def end(process, folder):
-    """End a flight and everything that it started, first kindly."""
+    """End a flight and everything that it started: SIGINT first, SIGKILL for what is left."""
     process.send_signal(signal.SIGINT)
     try:
         process.wait(PATIENCE_S)
@@ -77,7 +77,7 @@ def left_behind(folder):
 
 
 def wait_for_line(process, folder, text, timeout_s=180.0):
-    """Until a flight has printed the text. One that does not is ended, and fails the test."""
+    """Wait until a flight has printed the text. A flight that does not is ended, and fails the test."""
     deadline = time.monotonic() + timeout_s
     while text not in output_of(folder):
         if process.poll() is not None or time.monotonic() > deadline:
@@ -87,7 +87,7 @@ def wait_for_line(process, folder, text, timeout_s=180.0):
 
 
 def try_to_fly(folder, *arguments, meanwhile=None, **options):
-    """Fly to the end. Returns (exit code, output, summary, folder) of the flight; `judged` looks at it first.
+    """Fly to the end. Returns (exit code, output, summary, folder) of the flight, to be passed to `judged` first.
 
     meanwhile: is called with (process, folder) as soon as the flight is under way.
     """
@@ -103,7 +103,7 @@ def try_to_fly(folder, *arguments, meanwhile=None, **options):
 
 
 def summary_of(folder):
-    """summary.json of a flight. One that had not even the time to complete its bag has only the lateness of the lab."""
+    """summary.json of a flight; only the lateness of the lab if there was no time to complete the bag."""
     path, lab = folder / "summary.json", folder / "virtual_lab.json"
     if path.exists():
         return json.loads(path.read_text())
@@ -111,16 +111,16 @@ def summary_of(folder):
 
 
 def off_schedule(summary):
-    """True when the lab of a flight or its pictures were late, as a rule or in one long stall."""
+    """True if the lab of a flight or its pictures were late, either in general or in one long stall."""
     late_ms = summary.get("lab_late_ms")
     return bool(late_ms) and (not on_schedule(summary) or late_ms["max"] > STALL_LIMIT_MS)
 
 
 def judged(flight):
-    """The flight, for the test to look at. Call it when no other flight is under way.
+    """Return the flight, for the test to check. Call it when no other flight is under way.
 
-    After one that failed off schedule the lab alone tells whose fault it was: if this computer has no time even for
-    that, the test is skipped; else our own nodes may be what took the time, and the test fails.
+    If the flight failed and was off schedule, the lab is run alone to find the cause: if this computer is too slow even
+    for that, the test is skipped; otherwise our own nodes may have taken the time, and the test fails.
     """
     code, output, summary, folder = flight
     if code == 0 or not off_schedule(summary):
@@ -133,7 +133,7 @@ def judged(flight):
 
 
 def lateness_of_the_lab_alone_ms(folder):
-    """p99 of the virtual lab's lateness [ms] while nothing of ours runs beside it."""
+    """p99 of the virtual lab's lateness [ms] when it runs alone."""
     statistics = folder / "lab_alone.json"
     fleet = ROOT / "launch" / "fleets" / "ardrones3.yaml"
     command = [sys.executable, "-m", "risc_simulator.virtual_lab", str(fleet)]
@@ -144,5 +144,5 @@ def lateness_of_the_lab_alone_ms(folder):
 
 
 def fly(folder, *arguments, **options):
-    """`try_to_fly` and `judged` in one, for a flight that nothing flies beside."""
+    """`try_to_fly` and `judged` in one, for a flight with no other flight under way."""
     return judged(try_to_fly(folder, *arguments, **options))

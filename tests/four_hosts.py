@@ -37,15 +37,15 @@ VEHICLE_OF = {"risc2": "risc1", "risc3": "risc2", "risc4": "risc3"}  # {laptop: 
 COMPUTERS = ("risc1", *VEHICLE_OF)
 NAMED = tuple("%s_address:=%s" % (computer, ADDRESSES[computer].partition("/")[0]) for computer in COMPUTERS)
 MASTER = "http://129.123.5.240:11311"
-USER = None  # root: only root may give what flies a higher priority, and here four computers share two cores
-LOSS = 0.02  # of what is on the radio
-PATIENCE_S = 120.0  # for what takes a tenth of it on a computer with time
-CUTS = 3  # so often a link is cut, until the cut was short enough
-SETTLE_S = 1.5  # after a cut, until everything that was sent meanwhile is there
+USER = None  # root: only root may raise the priority of nodes that fly, and here four computers share two cores
+LOSS = 0.02  # fraction of radio packets
+PATIENCE_S = 120.0  # ten times what an idle computer needs
+CUTS = 3  # attempts to cut a link for a time that is short enough
+SETTLE_S = 1.5  # after a cut, until everything that was sent during it has arrived
 RESULT = "operator: result"
 NETWORKS = ("129.123.5.0/24", "129.123.85.0/24")
-# What a cable has lost is sent again after 40, not after 200, 600, ... ms, as is the default. As docs/many_machines.md
-# says it, for routes with and without a metric.
+# TCP sends lost packets again after 40 ms, instead of the default 200, 600, ... ms. As in docs/many_machines.md, for
+# routes with and without a metric.
 RESEND = "ip route change $(ip -4 route show exact %s) rto_min 40ms"
 KEEP_ALIVE = ("ClientAliveInterval 2", "ClientAliveCountMax 3")  # as docs/many_machines.md says
 COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\]2;[^\x07]*\x07")
@@ -59,11 +59,11 @@ Command = collections.namedtuple("Command", "time_s vehicle name arguments")
 
 
 class FaultError(Exception):
-    """What no busy computer explains, as nodes that are left running."""
+    """A fault that a busy computer does not explain, such as nodes that are left running."""
 
 
 class FourHosts:
-    """The laboratory. `with` it; afterwards `folder` has the bag, the logs and what the virtual lab says of the flight.
+    """The laboratory, a context manager. Afterwards `folder` has the bag, the logs and the virtual lab's statistics.
 
     ahead_s: {computer: by how much the clock of everything that ssh starts there is ahead [s]}.
     forgetful: computers whose sshd never notices that a client is gone, as without KEEP_ALIVE.
@@ -182,7 +182,7 @@ class FourHosts:
         return self.net.popen("risc1", command, environment, stdout=out, stderr=subprocess.STDOUT)
 
     def wait_for(self, text):
-        """Until the launch has printed the text. Returns the seconds since its start. An aborted flight ends it."""
+        """Wait until the launch has printed the text; fail if it aborts. Returns the time [s] since its start."""
 
         def is_there():
             log = self.log(self._name)
@@ -203,14 +203,14 @@ class FourHosts:
             time.sleep(0.05)
 
     def logged_s(self, text):
-        """The time [s] that stands before the text in what the launch has printed."""
+        """The time stamp [s] before the text in the output of the launch."""
         return float(re.search(r"\[([0-9.]+)\]: " + re.escape(text), self.log(self._name)).group(1))
 
     def cut(self, laptop, duration_s, longest_s=math.inf):
-        """Nothing reaches it or comes from it for so long. Returns the times [s] between which that is certain.
+        """Cut the link of a laptop for duration_s. Returns the times [s] between which it was certainly cut.
 
-        A cut that may have lasted for more than longest_s, as this computer stood still, proves nothing: another one is
-        made, unless the vehicle has landed.
+        A cut that may have lasted longer than longest_s, because this computer stood still, proves nothing: it is
+        repeated, unless the vehicle has landed.
         """
         for _ in range(CUTS):
             off_s, begin_s, end_s, on_s = self._cut(laptop, duration_s)
@@ -222,9 +222,9 @@ class FourHosts:
         pytest.skip("this computer is too busy to cut a link for %g s, that took %.2f s" % (duration_s, on_s - off_s))
 
     def _cut(self, computer, duration_s):
-        """As NetLab.mute, by one program that goes first: none is to be started before the link is there again.
+        """As NetLab.mute, but with one high-priority program: no other has to be started to restore the link.
 
-        Returns the times [s] before and after the link is cut, before and after it is mended.
+        Returns the times [s] before and after the link is cut, and before and after it is restored.
         """
         times_s = []
         port = "p-" + computer
@@ -247,9 +247,9 @@ class FourHosts:
         return times_s[2:]
 
     def end(self, patience_s):
-        """Ctrl-C for the launch.
+        """Send Ctrl-C to the launch.
 
-        Sets ended_s, how long that took [s], and left, which is what runs on any computer patience_s later.
+        Sets ended_s, how long it took to end [s], and left, what still runs on any computer patience_s later.
         """
         begin_s = time.monotonic()
         self.net.interrupt(self._launch, timeout=PATIENCE_S)
@@ -280,9 +280,9 @@ class FourHosts:
         return {pid for pid, command in self.net.programs(computer).items() if NODE_NAME.search(command)}
 
     def finish(self):
-        """End the virtual lab, and keep what it says and what was recorded. Returns its statistics.
+        """End the virtual lab; keep its statistics and the recorded bags. Returns the statistics.
 
-        Sets lost, {vehicle: fraction of what was on its radio that was lost}. Raises FaultError when the lab had died.
+        Sets lost, {vehicle: fraction of its radio packets that was lost}. Raises FaultError if the lab had died.
         """
         if self.lossy_kernel:
             self.lost = {vehicle: self.net.lost(laptop, "wlan0") for laptop, vehicle in VEHICLE_OF.items()}
@@ -296,7 +296,7 @@ class FourHosts:
             self.lost = {}
             for vehicle, figures in self.statistics["vehicles"].items():
                 counts = figures["host"]
-                slots = counts["at_datagrams"] - counts["sticks_superseded"]  # that somebody used
+                slots = counts["at_datagrams"] - counts["sticks_superseded"]  # that were used
                 self.lost[vehicle] = counts["radio_slots_lost"] / max(slots, 1)
         for path in self.net.home("risc1").glob("*.bag*"):
             shutil.copy(str(path), str(self.folder))
@@ -311,7 +311,7 @@ class FourHosts:
         return (self.folder / "wire_log.txt").read_text().rpartition("\n")[0].splitlines()
 
     def still_s(self, begin_s, end_s):
-        """For how long this computer as a whole stood still in that time [s]; after `finish`."""
+        """How long [s] this whole computer stood still between these times; call it after `finish`."""
         return sum(max(0.0, min(to_s, end_s) - max(from_s, begin_s)) for from_s, to_s in self._stills_s)
 
 
@@ -340,7 +340,7 @@ def moves(command):
 
 
 def wait_until(condition, what):
-    """Seconds until the condition holds. Raises FaultError when it never does."""
+    """Wait until the condition holds; return the seconds that took. Raises FaultError if it never does."""
     begin_s = time.monotonic()
     while not condition():
         if time.monotonic() - begin_s > PATIENCE_S:
@@ -352,10 +352,10 @@ def wait_until(condition, what):
 def fly(folder, scenario, checks, **options):
     """Carry out scenario(hosts) in a new laboratory, end the virtual lab, check the records. Returns the FourHosts.
 
-    checks: function (hosts) of what a busy computer may spoil, or break.
-    When one or the other failed (AssertionError), `flying.judged` says whether this computer had time for the virtual
-    lab; never after a FaultError. If it had time, what the scenario failed with is raised; what a check failed with is
-    left to the test that makes it on the same records.
+    checks: function (hosts), the checks that a busy computer may cause to fail.
+    If the scenario or a check fails (AssertionError), `flying.judged` decides whether this computer had time for the
+    virtual lab; not after a FaultError. If it had time, the scenario's error is raised; a check's error is left to the
+    test that makes the same check on the same records.
     """
     problem = None
     with FourHosts(folder / "hosts", **options) as hosts:
@@ -370,7 +370,7 @@ def fly(folder, scenario, checks, **options):
     is_flown = problem is None
     if is_flown:
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # the tests say it
+            with contextlib.redirect_stdout(io.StringIO()):  # the tests print it
                 checks(hosts)
             return hosts
         except AssertionError as error:

@@ -1,4 +1,4 @@
-"""Damaged packets, always the same ones for a seed: what parsers get in test_fuzz.py."""
+"""Damaged packets, the parsers' inputs in test_fuzz.py; always the same ones for a seed."""
 
 import numpy as np
 
@@ -9,8 +9,8 @@ _EXTREMES = (b"\0\0\0\0", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\x80
 def damaged(packets, count, repair=None, seed=1):
     """Yields `count` byte strings: packets with some bytes changed, cut, joined or made up.
 
-    repair: function of a bytearray that makes its checksums right again where it can; it gets every other one, so that
-    what lies behind the checksums is tried as well.
+    repair: function that corrects the checksums of a bytearray where it can. It gets every other packet, so that the
+    code behind the checksums is tested as well.
     """
     rng = np.random.default_rng(seed)
     packets = list(packets)
@@ -40,7 +40,7 @@ def _damage(data, kind, places, values, other, noise):
         del data[at : length if values[0] % 2 else at + 1 + values[1] % 16]
     elif kind == 5:
         data[at:at] = noise[: 1 + values[0] % 8]
-    elif kind == 6:  # the rest of another one
+    elif kind == 6:  # the rest of another packet
         data[at:] = other[int(places[1] * len(other)) :]
-    else:  # nothing but noise, at times behind a sound beginning
+    else:  # noise only, in some cases after a valid beginning
         data[min(length, values[0] % 16) :] = noise * (1 + values[1] % 4)

@@ -20,22 +20,22 @@ fleet_value = runpy.run_path(str(ROOT / "src/risc_control/nodes/fleet_value.py")
 
 
 class Loader(XmlLoader):
-    """Runs fleet_value.py in this process: to start it for every parameter takes longer than all the rest."""
+    """Runs fleet_value.py in this process: starting it for every parameter would take longer than all the rest."""
 
     def param_value(self, verbose, name, ptype, value, textfile, binfile, command):
         words = shlex.split(command or "")
         if words and pathlib.Path(words[0]).name == "fleet_value.py":
             with pytest.MonkeyPatch.context() as call, contextlib.redirect_stdout(io.StringIO()) as out:
                 call.setattr(sys, "argv", words)
-                with contextlib.suppress(SystemExit):  # as a program it fails once more, and roslaunch says so
+                with contextlib.suppress(SystemExit):  # it fails again as a program below, and roslaunch reports that
                     fleet_value()
                     value = out.getvalue()
         return super().param_value(verbose, name, ptype, value, textfile, binfile, command)
 
 
 def unroll(config):
-    """Add to a ROSLaunchConfig the single parameters of those that it sets together: ~vehicles of a driver, as far
-    as they have the same, and ~mocap of stream_markers. Joystick nodes get the defaults that their class says.
+    """Add to a ROSLaunchConfig the single parameters of dicts: ~vehicles of a driver (values that all vehicles share),
+    and ~mocap of stream_markers. Joystick nodes get the defaults of their class.
     """
     together, different = {}, set()
     for name, param in list(config.params.items()):

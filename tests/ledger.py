@@ -1,4 +1,4 @@
-"""What `./maap test --repeat N` found: how often each test failed; from the JUnit files of its passes."""
+"""Result of `./maap test --repeat N`: how often each test failed, from the JUnit files of its passes."""
 
 import collections
 import pathlib
@@ -10,11 +10,11 @@ BAD = ("failure", "error")
 
 
 class Record:
-    """What became of one test, over all passes."""
+    """Results of one test over all passes."""
 
     def __init__(self):
-        self.passes = set()  # numbers of those in which it ran
-        self.failed = set()  # of those in which it, its set-up or its end failed
+        self.passes = set()  # numbers of the passes in which it ran
+        self.failed = set()  # of the passes in which it, its set-up or its tear-down failed
         self.skipped = set()
         self.reasons = collections.Counter()
 

@@ -1,4 +1,4 @@
-"""A ground station of MAVSDK, flies a vehicle by its sticks: mavsdk_station.py URL. Prints what it has seen as JSON."""
+"""A MAVSDK ground station that flies a vehicle by its sticks: mavsdk_station.py URL. Prints what it saw as JSON."""
 
 import json
 import sys
@@ -19,7 +19,7 @@ RATES = "position battery attitude_euler rc_status landed_state in_air gps_info 
 
 
 class Station:
-    """Remembers the newest of everything, and all that has been complained about."""
+    """Keeps the newest value of each kind of telemetry, and everything that MAVSDK has logged."""
 
     def __init__(self, url):
         self.logs, self.newest, self.texts, self.most_m = [], {}, [], 0.0
@@ -46,7 +46,7 @@ class Station:
         return [log for log in self.logs if log[0] in ("WARN", "ERROR")]
 
     def be_told_nonsense(self):
-        """The control arm: this is complained about."""
+        """Cause a complaint, for the control arm."""
         self._sdk.add_any_connection("nonsense://")
 
     def watch(self, telemetry, *names):

@@ -37,13 +37,13 @@ MULTICAST = ipaddress.ip_network("224.0.0.0/4")
 OUTSIDE = ("192.0.2.1", "198.51.100.1", "1.1.1.1")  # no lab has these; asking for a route sends nothing
 UNSHARE = ("unshare", "--mount", "--uts", "--pid", "--ipc", "--fork", "--kill-child", "--mount-proc")
 UNSHARE += ("--propagation", "private")  # what a host has of its own, beside the network
-# A host that has lost its power does not say goodbye when it comes back. Needs a /proc/sys that can be written.
+# A host that has lost its power does not close its old connections afterwards. Needs a writable /proc/sys.
 NO_GOODBYE = ("sysctl", "--write", "net.ipv4.tcp_orphan_retries=1")
 
 
 @functools.cache
 def unsupported():
-    """Why no lab can be made on this computer, in one line; "" when it can."""
+    """One line: why no lab can be made on this computer; "" if it can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     for tool in ("ip", "bridge", "tc", "unshare", "nsenter", "setpriv", "sysctl", "ssh", "ssh-keygen", "sshd"):
@@ -75,7 +75,7 @@ def has_netem():
 
 @contextlib.contextmanager
 def _probe():
-    """A network namespace to try something in: its name."""
+    """Context manager: a temporary network namespace for a trial; gives its name."""
     name = PREFIX + "probe-" + uuid.uuid4().hex[:8]
     _run("ip", "netns", "add", name)
     try:
@@ -95,7 +95,7 @@ class NetLab:
         self.hosts = dict(hosts)
         self.user = user
         self.name = uuid.uuid4().hex[:8]
-        # in memory: four computers have four disks, and do not wait for each other's
+        # in memory: four real computers have four disks, and do not wait for one another's
         memory = pathlib.Path("/dev/shm")
         has_room = memory.is_dir() and shutil.disk_usage(str(memory)).free >= MEMORY_BYTES
         self.folder = (memory if has_room else pathlib.Path(tempfile.gettempdir())) / (PREFIX + self.name)
@@ -115,7 +115,7 @@ class NetLab:
         self.down()
 
     def up(self):
-        """Make it all, and wait until every sshd answers. Raises RuntimeError, and leaves nothing behind then."""
+        """Make the network, and wait until every sshd answers. Raises RuntimeError, and leaves nothing behind then."""
         self.folder.mkdir()
         self.folder.chmod(0o755)
         self._is_up = True
@@ -148,7 +148,7 @@ class NetLab:
         shutil.rmtree(str(self.folder), ignore_errors=True)
 
     def cable(self, host, device, address, far_host, far_device, far_address):
-        """A cable of its own between two hosts, beside the bridge; addresses with their prefix length."""
+        """Connect two hosts by a cable, in addition to the bridge; addresses with their prefix length."""
         near, far = self._namespace(host), self._namespace(far_host)
         _run("ip", "-n", near, "link", "add", device, "type", "veth", "peer", "name", far_device, "netns", far)
         for namespace, name, its_address in ((near, device, address), (far, far_device, far_address)):
@@ -190,7 +190,7 @@ class NetLab:
     # --- what tests do with it --------------------------------------------------------------------------------------
 
     def address(self, host):
-        """Of the host on the bridge, without prefix length."""
+        """Address of the host on the bridge, without prefix length."""
         return self.hosts[host].partition("/")[0]
 
     def home(self, host):
@@ -213,7 +213,7 @@ class NetLab:
         }
         environment.update(env or {})
         settings = ["%s=%s" % item for item in environment.items()]
-        # whoever started the tests in the background has made its children deaf for Ctrl-C
+        # tests that were started in the background ignore Ctrl-C, and so would their children
         return command + ["env", "--ignore-environment", "--default-signal=INT"] + settings + [str(a) for a in argv]
 
     def run(self, host, argv, env=None, as_root=False, check=True):
@@ -240,7 +240,7 @@ class NetLab:
         return subprocess.Popen(command, start_new_session=True, env={"PATH": PATH}, **options)
 
     def interrupt(self, process, number=signal.SIGINT, timeout=30.0):
-        """Signal (Ctrl-C) for the program that `popen` started; the process itself is only the way in.
+        """Send a signal (Ctrl-C) to the program that `popen` started; the process itself is only the nsenter around it.
 
         Returns its exit code, at once when it has ended already. Raises subprocess.TimeoutExpired.
         """
@@ -255,7 +255,7 @@ class NetLab:
     def processes(self, host):
         """{process id on the host: command line} of everything that runs there; {} when it is off.
 
-        Raises RuntimeError when the whole network is down, and nobody can tell any more.
+        Raises RuntimeError when the whole network is down.
         """
         if not self._is_up:
             raise RuntimeError("the network is down: ask what runs on %s before that" % host)
@@ -285,7 +285,7 @@ class NetLab:
         _run("ip", "-n", namespace, "link", "set", far_device, state)
 
     def mute(self, host, is_mute):
-        """Let the bridge drop everything from and for the host; the cable keeps its carrier, so it is exact in time."""
+        """Let the bridge drop everything from and for the host; the cable keeps its carrier, so the timing is exact."""
         _run("bridge", "-n", self._switch, "link", "set", "dev", "p-" + host, "state", "0" if is_mute else "3")
 
     def netem(self, host, spec, device="eth0"):
@@ -318,7 +318,7 @@ class NetLab:
                     self.run(host, ["kill", "-KILL", str(pid)], as_root=True, check=False)
 
     def power_off(self, host):
-        """The host is gone at once: no goodbye on the wire, all its processes are dead."""
+        """Switch the host off at once: all its processes are killed, and it closes no connection on the wire."""
         self._unplug(host, "down")
         self._kill(host)
 
@@ -342,7 +342,7 @@ class NetLab:
         return ((self._namespace(host), device), self._far_ends[host][device])
 
     def _unplug(self, host, state):
-        """All cables of a host. Where another host, not the switch, has the far end, that one keeps listening."""
+        """Set the link state of all cables of a host. A far end at another host, not the switch, keeps listening."""
         for device in self._far_ends[host]:
             if device == "eth0":
                 self.link(host, state)
@@ -362,7 +362,7 @@ class NetLab:
     def _lay_cables(self):
         switch = self._switch
         _run("ip", "netns", "add", switch)
-        # Without snooping the bridge floods multicast, as a plain switch does; with it, somebody must ask for members.
+        # Without snooping the bridge floods multicast, as a plain switch does; with it, a querier would be needed.
         bridge = ("type", "bridge", "stp_state", "0", "forward_delay", "0", "mcast_snooping", "0")
         _run("ip", "-n", switch, "link", "add", "name", "br0", *bridge)
         _run("ip", "-n", switch, "link", "set", "br0", "up")
@@ -437,7 +437,7 @@ class NetLab:
             path = self.folder / host / name
             path.write_text("".join([line] + [other for other in others if not other.startswith(login + ":")]))
             path.chmod(0o644)
-        shadow = self.folder / host / "shadow"  # nobody's password of this computer: no login there has one
+        shadow = self.folder / host / "shadow"  # no passwords of this computer: no login there has one
         shadow.touch(mode=0o600)
         shadow.write_text("".join("%s:*:19000:0:99999:7:::\n" % name for name in sorted({login, "root"})))
 
@@ -446,7 +446,7 @@ class NetLab:
         ready = folder / "ready"
         if ready.exists():
             ready.unlink()
-        # ended with us, also when we are killed
+        # ends with this process, also when it is killed
         command = ["setpriv", "--pdeathsig", "KILL", "ip", "netns", "exec", self._namespace(host), *UNSHARE]
         command += [SYSTEM_PYTHON, os.path.abspath(__file__), str(self.folder), host]
         with (folder / "boot.log").open("ab") as log:
@@ -468,7 +468,7 @@ class NetLab:
         self._first[host] = int(children.read_text().split()[0])
 
     def _kill(self, host):
-        """The first process of a process namespace takes all others with it."""
+        """Kill the first process of a host: all others of its process namespace die with it."""
         process = self._processes.pop(host)
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._first.pop(host, process.pid), signal.SIGKILL)
@@ -485,7 +485,7 @@ class NetLab:
 
 
 def _run(*command, check=True):
-    """Output of a command of this computer. Raises RuntimeError with what it said when it fails and check."""
+    """Output of a command on this computer. If check and it fails, raises RuntimeError with its output."""
     done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ, PATH=PATH))
     if check and done.returncode != 0:
         raise RuntimeError("%s: %s" % (" ".join(command), (done.stderr or done.stdout).strip()))
@@ -505,7 +505,7 @@ def _inode(path):
 
 
 def _first_process(folder, host):
-    """Of a host: its own mounts, host name and sshd; then it buries the dead."""
+    """First process of a host: make its mounts, host name and sshd; then reap dead processes."""
     _run("hostname", host)
     _run("mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", "/run")
     pathlib.Path("/run/sshd").mkdir(mode=0o755)

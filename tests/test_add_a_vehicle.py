@@ -1,4 +1,4 @@
-"""docs/add_a_vehicle.md, done as it says: its files are written, its fleet flies offline, its flight is valid."""
+"""The steps of docs/add_a_vehicle.md: its files are written, its fleet flies offline, its flight is valid."""
 
 import pathlib
 import re

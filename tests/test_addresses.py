@@ -19,10 +19,10 @@ from risc_lab.lab import load_fleet
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SRC, LEGACY = ROOT / "src", ROOT / "launch/legacy"
 LAUNCH_FILES = sorted([*(ROOT / "launch").glob("*.launch"), *LEGACY.glob("*.launch"), *SRC.rglob("launch/*.launch")])
-LAUNCH_FILES.remove(SRC / "risc_lab/launch/refuse.launch")  # with which the others ask
+LAUNCH_FILES.remove(SRC / "risc_lab/launch/refuse.launch")  # the others include it to ask
 FLEETS = sorted((ROOT / "launch").rglob("fleets/*.yaml"))
 ADDRESS = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w.])")
-# Keys and attributes whose value is a computer, so that a name counts, too.
+# Keys and attributes whose value is a computer: there a host name counts like an address.
 COMPUTER = re.compile(r"(^|[/_])(ip|host|hostname|address|uri|url)$")
 THIS_COMPUTER = ("", "localhost")
 
@@ -42,7 +42,7 @@ ALLOWED = {
     # these do not load before somebody has written an address: COPIED_FIRST
     ("launch/fleets/lab3.yaml", AIRCRAFT),
     ("launch/legacy/fleets/lab.yaml", AIRCRAFT),
-    # bound to, to hear it; a netmask; asked only when told so: --host broadcast
+    # bound to, to receive broadcasts; a netmask; sent to only on request: --host broadcast
     ("src/risc_simulator/src/risc_simulator/cortex_host.py", "255.255.255.255"),
     ("src/risc_doctor/src/risc_doctor/interfaces.py", "255.255.255.255"),
     ("src/cortex_ros/python/cortex_ros/connection.py", "255.255.255.255"),
@@ -52,14 +52,15 @@ ALLOWED = {
 def elsewhere(text):
     """Addresses in a text that are not this computer's.
 
-    Not multicast groups: they are listened to; the virtual lab sends to them by the card that has its host's address.
+    Multicast groups do not count: programs listen to them, and the virtual lab sends to them by the network card that
+    has its host's address.
     """
     found = [ipaddress.ip_address(word) for word in ADDRESS.findall(text) if max(map(int, word.split("."))) < 256]
     return [str(a) for a in found if not (a.is_loopback or a.is_multicast or a.is_unspecified)]
 
 
 def computers(key, value):
-    """Addresses and names elsewhere, in what stands under a key: a text, or dicts and lists of texts."""
+    """Addresses and names of other computers in the value of a key: a text, or dicts and lists of texts."""
     if isinstance(value, dict):
         return [found for name, part in value.items() for found in computers(str(name), part)]
     if isinstance(value, (list, tuple)):
@@ -81,7 +82,7 @@ def load(path, *argv):
 
 
 def without_addresses(path):
-    """(names of the arguments that roslaunch asks for, computers elsewhere that it would go or send to)."""
+    """(names of the arguments that roslaunch asks for, other computers that it would log in or send to)."""
     names = [arg.get("name") for arg in ET.parse(str(path)).getroot().findall("arg")]
     try:
         config = load(path, *("%s:=%s" % item for item in OTHER_ARGUMENTS.items() if item[0] in names))

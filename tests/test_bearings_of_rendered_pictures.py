@@ -1,4 +1,4 @@
-"""Pixels become bearings that can be trusted: rendered pictures, the real detector, the truth of the renderer."""
+"""Bearings that the real detector finds in rendered pictures, against the true ones of the renderer."""
 
 import io
 
@@ -51,7 +51,7 @@ class Scenery:
         self.targets = [Disc(template, *place) for template, place in PLACES.items()]
 
     def poses(self, seed):
-        """(position, R_body_to_cortex, CameraPose, VehiclePose of another), again and again."""
+        """Yield PICTURES times (position, R_body_to_cortex, CameraPose, VehiclePose of another vehicle)."""
         rng = np.random.default_rng(seed)
         for _ in range(PICTURES):
             yaw = rng.uniform(-0.5, 0.5) + rng.choice([0.0, np.pi])
@@ -77,7 +77,7 @@ def test_what_should_be_seen_is_what_the_renderer_draws(name):
         sightings = scenery.sightings(Observer(scenery.camera), position, R, other)
         for truth in scenery.renderer.truth(eye, [other]):
             mine = sightings[truth.name]
-            # of a near vehicle at the border the share depends on how far beyond it one follows the lens model
+            # for a near vehicle at the border the fraction depends on how far beyond it the lens model is followed
             if truth.kind == "landmark" or truth.seen_fraction in (0.0, 1.0):
                 assert mine.fraction == pytest.approx(truth.seen_fraction, abs=0.03)
             if truth.seen_fraction == 0.0:
@@ -93,7 +93,7 @@ def test_what_should_be_seen_is_what_the_renderer_draws(name):
     assert compared > PICTURES // 2
 
 
-# the lens that distorts most by both ways, one that distorts little by one; the others with --all
+# the lens that distorts most, raw and rectified; one that distorts little, raw; the others with --all
 FIRST = (("risc3.yaml", False), ("risc3.yaml", True), ("ardrone_front.yaml", False))
 WAYS = [
     pytest.param(name, rectified, marks=() if (name, rectified) in FIRST else pytest.mark.release)
@@ -153,7 +153,7 @@ def test_covariances_are_those_of_the_errors_in_pictures_of_every_kind(inputs):
             if detection is None or truth.seen_fraction < 0.98:
                 continue
             error = np.array((detection.x, detection.y)) - truth.centre_px
-            if np.hypot(*error) < truth.diameter_px:  # else: another one
+            if np.hypot(*error) < truth.diameter_px:  # else it is another object
                 xx, xy, yy = detection.covariance
                 normalised.append(error @ np.linalg.solve(((xx, xy), (xy, yy)), error) / 2.0)
     assert len(normalised) > pictures

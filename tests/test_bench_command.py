@@ -1,4 +1,4 @@
-"""./maap bench: options reach the benchmark that they are of, and nothing else."""
+"""./maap bench: options reach the benchmark that they belong to, and no other."""
 
 import json
 import sys

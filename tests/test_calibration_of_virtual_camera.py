@@ -22,7 +22,7 @@ from risc_visual.vision.checkerboard import Checkerboard, View
 from risc_visual.vision.checkerboard import calibrate as calibration_of_views
 
 CALIBRATE = pathlib.Path(__file__).resolve().parents[1] / "src/risc_visual/nodes/calibrate.py"
-# the first is as any camera, the second distorts strongly
+# the first is an ordinary camera, the second distorts strongly
 CAMERAS = ["risc2", pytest.param("risc3", marks=pytest.mark.release)]
 CAMERAS += [
     pytest.param(name, marks=pytest.mark.release)
@@ -80,9 +80,9 @@ def intrinsics_error(K, camera):
 
 
 def point_errors_px(calibration, camera):
-    """Errors of undistorted points all over the picture [true focal lengths], where undistortion is no steep slope.
+    """Errors of undistorted points all over the picture [true focal lengths], without those beyond STEEP.
 
-    That is the error of the direction in space: a principal point that is off is not forgiven.
+    That is the error of the direction in space: an error of the principal point counts in full.
     """
     pixels = np.stack(np.meshgrid(np.linspace(0.0, 639.0, 33), np.linspace(0.0, 359.0, 19)), axis=-1).reshape(-1, 2)
     focal_px = camera.K[[0, 1], [0, 1]]
@@ -120,7 +120,7 @@ def test_camera_calibration_agrees(show, lens):
     debian.do_calibration()
     if lens not in STRONG_LENSES:
         assert intrinsics_error(debian.as_message().K, camera) < INTRINSICS_LIMIT
-    # It lets OpenCV start once, which strong distortion can trap. The corners that it found are good in any case:
+    # It has one initial guess for OpenCV: with strong distortion that can end in a local minimum. Its corners are good:
     views = [
         View(str(k), corners.reshape(-1, 2).astype(float)) for k, (corners, _, _) in enumerate(debian.good_corners)
     ]

@@ -1,4 +1,4 @@
-"""The benchmark of the controller runs and says what it measured; how fast it is, is no test."""
+"""The benchmark of the controller runs and prints what it measured; the speed itself is not tested."""
 
 import json
 

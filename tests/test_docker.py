@@ -1,4 +1,4 @@
-"""docker/: the images' steps run here, the rest is read strictly. The images themselves: tests/docker_steps.sh."""
+"""docker/: the images' steps run here, the files are checked. The images themselves: tests/docker_steps.sh."""
 
 import contextlib
 import ipaddress
@@ -47,7 +47,7 @@ def compose():
     return yaml.safe_load((DOCKER / "compose.yaml").read_text())
 
 
-# ---------------------------------------------------------------- read strictly
+# ---------------------------------------------------------------- files
 
 
 def test_dockerfile_is_clean():
@@ -81,7 +81,7 @@ def test_services_and_volumes_that_are_named_exist(compose):
 
 
 def test_what_a_laptop_runs_instead_of_an_ssh_server_has_a_health_of_its_own(compose):
-    """The image's own asks for port 22."""
+    """The image's own health check asks for port 22."""
     others = [s for s in compose["services"].values() if s["image"] == "risc_maap:laptop" and "command" in s]
     assert others and all("healthcheck" in service for service in others)
     browser = compose["services"]["browser"]
@@ -156,7 +156,7 @@ def test_no_secret_no_latest_nothing_privileged(compose):
 
 
 def test_who_has_a_way_out_shares_nothing_with_the_machines(compose):
-    """Whatever comes in by the one network that is not internal finds no key but that of the browser view."""
+    """An intruder by the one network that is not internal finds no key but that of the browser view."""
     services = compose["services"]
     mounted = {name: {volume.split(":")[0] for volume in s.get("volumes", ())} for name, s in services.items()}
     assert [name for name in services if mounted[name] & mounted["browser"]] == ["browser_keys", "browser"]
@@ -231,7 +231,7 @@ def test_dead_connections_are_noticed_as_machines_setup_wants_it():
 
 
 class Machine:
-    """This computer as a slim one to change at will: nothing of it is left afterwards, and its network is empty."""
+    """A slim copy of this computer, to change at will: its network is empty, and nothing is left of it afterwards."""
 
     # $1: its folder, $2: the workspace, $3: its address
     _MOUNT = """
@@ -306,7 +306,7 @@ exec cat
         return output
 
     def wait_for(self, command):
-        """Output of a shell command of the user risc, once it is good."""
+        """Output of a shell command of the user risc, repeated until it succeeds."""
         return self.run("for k in {1..100}; do %s && exit; sleep 0.1; done; exit 1" % command, "risc")
 
     def close(self):

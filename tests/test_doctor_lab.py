@@ -1,4 +1,4 @@
-"""The doctor and what runs: a vehicle in somebody's hands, a graph, a virtual lab with one fault after the other."""
+"""The doctor and running programs: a vehicle moved by hand, a graph, a virtual lab with one fault after the other."""
 
 import contextlib
 import dataclasses
@@ -33,7 +33,7 @@ from risc_simulator.virtual_lab import VirtualLab
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PATIENCE_S = 120.0
-GRAPH_HZ = 50.0  # of motion capture: the nodes are asked whether they run
+GRAPH_HZ = 50.0  # of motion capture; the test only asks whether the nodes run
 
 
 @contextlib.contextmanager
@@ -42,7 +42,7 @@ def reserved_fleet():
     reservation = PortReservation()
     try:
         fleet = load_fleet(ROOT / "launch" / "fleets" / "ardrones3.yaml").in_subnet(reservation.subnet)
-        port = free_tcp_port()  # of UDP, but Linux gives it to nobody either
+        port = free_tcp_port()  # needed for UDP, but Linux gives a reserved TCP port to nobody else either
         yield dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, stream_port=port))
     finally:
         reservation.close()
@@ -91,7 +91,7 @@ def no_master(monkeypatch):
 
 
 def arguments(fleet, folder, *words):
-    """Of the doctor; fleet: Fleet, None = that of the graph."""
+    """Arguments of the doctor; fleet: Fleet, None = that of the graph."""
     path = folder / "fleet.yaml"
     if fleet is not None:
         path.write_text(yaml.safe_dump(fleet.to_dict()))
@@ -109,7 +109,7 @@ def sorted_out(printed):
 
 
 def doctor(*situation):
-    """What it finds and the exit code, in this process: as long as no graph is listened to, that makes no difference.
+    """Run the doctor in this process, which makes no difference without a graph. Returns (findings, exit code).
 
     situation: see `arguments`.
     """
@@ -119,7 +119,7 @@ def doctor(*situation):
 
 
 def doctor_process(*situation):
-    """The same of a process of its own: with a node of its own, and to which this one is another program."""
+    """As `doctor`, in a process of its own: with its own node, and this process is another program to it."""
     command = [sys.executable, "-m", "risc_doctor", *arguments(*situation)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode in (0, 1), done.stderr
@@ -134,7 +134,7 @@ def levels(found, check):
 
 
 class HandWorld:
-    """A world with one vehicle in somebody's hands, seen in a frame that is `matrix` times the lab's."""
+    """A world with one vehicle that is moved by hand, seen in a frame that is `matrix` times the lab's."""
 
     def __init__(self, matrix):
         self.time_s = 0.0
@@ -212,7 +212,7 @@ def wait_until(true, what):
 
 
 AWAITED = "/risc1/ardrone/navdata", "/mocap_data", "/cortex_raw"
-# without what flies: the doctor looks at these, and they start sooner
+# without the nodes that fly: the doctor looks at these only, and they start sooner
 GRAPH = """<launch>
   <arg name="fleet"/>
   <include file="{0}/fleet.launch" pass_all_args="true"/>
@@ -235,7 +235,7 @@ for topic in sys.argv[1:]:
     rospy.wait_for_message(topic, rospy.AnyMsg)
 while not rospy.wait_for_message("/risc1/ardrone/navdata", Navdata).batteryPercent:
     pass  # the driver configures it still
-"""  # one process: each doctor would need seconds to start and to listen
+"""  # one process that waits: starting doctors until all is there would take seconds for each
 
 
 def everything_is_published():
@@ -285,7 +285,7 @@ def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, mo
 
 @contextlib.contextmanager
 def stopped(pid):
-    """A process that hangs meanwhile."""
+    """Context manager: the process hangs (SIGSTOP) inside."""
     os.kill(pid, signal.SIGSTOP)
     try:
         yield
@@ -310,7 +310,7 @@ def lab():
 
 @pytest.mark.alone
 def test_every_check_says_something(lab, no_master, tmp_path):
-    """Not what: the joystick, the disk, the clock and the load are this computer's."""
+    """What they say is not tested: the joystick, the disk, the clock and the load are this computer's."""
     found, _ = doctor(lab.fleet, tmp_path)
     assert {check for check, _ in found} == set(CHECKS)
 

@@ -15,15 +15,15 @@ from risc_visual.pictures.virtual_screen import VirtualScreen, missing_programs
 
 DRAWING = ROOT / "src" / "risc_visual" / "launch" / "risc_visualize.launch"
 LAUNCH_FILES = [*ROOT.glob("launch/*.launch"), *ROOT.glob("src/*/launch/*.launch")]
-# It is there for the calibrator, and ends with its window; nothing flies meanwhile.
+# This file runs the calibrator, and ends with the calibrator's window; nothing flies meanwhile.
 CALIBRATION = DRAWING.with_name("camera_setup.launch")
 FLYING = [path for path in LAUNCH_FILES if path != CALIBRATION]
 START_PATIENCE_S = 60.0
-BETWEEN_S = 1.0  # two killings
+BETWEEN_S = 1.0  # between two kills
 
 
 def drawing_programs():
-    """File names of the programs that risc_visualize.launch starts without being asked for more."""
+    """File names of the programs that risc_visualize.launch starts by default."""
     arguments = {node.get("name"): node.get("default") for node in ElementTree.parse(DRAWING).iter("arg")}
     found = set()
     for node in ElementTree.parse(DRAWING).iter("node"):
@@ -39,7 +39,7 @@ def running(folder, names):
     for pid in left_behind(folder):
         with contextlib.suppress(OSError):  # it ended meanwhile
             words = pathlib.Path("/proc/%d/cmdline" % pid).read_bytes().decode(errors="replace").split("\0")
-            # an interpreter comes before the script; what only starts others (with_priority) becomes them
+            # an interpreter comes before the script; what only starts another program (with_priority) is replaced by it
             name = next((pathlib.Path(word).name for word in words[:2] if pathlib.Path(word).name in names), None)
             if name:
                 found[pid] = name

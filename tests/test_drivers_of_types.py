@@ -1,6 +1,7 @@
 """Each type of vehicle is flown by its own driver, through the same launch files.
 
-A toy from a folder of members has two nodes, which come up beside ardrone_driver and fly its virtual side.
+A toy type from a folder of members has two driver nodes: they start beside ardrone_driver and fly the toy's virtual
+vehicle.
 """
 
 import os

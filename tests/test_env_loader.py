@@ -69,7 +69,7 @@ class Sshd:
         }
         (folder / "sshd_config").write_text("".join("%s %s\n" % item for item in settings.items()))
         if os.geteuid() == 0:
-            os.makedirs("/run/sshd", exist_ok=True)  # where sshd locks itself up; its service makes it at boot
+            os.makedirs("/run/sshd", exist_ok=True)  # for sshd's privilege separation; its service makes it at boot
         with (folder / "sshd.log").open("w") as log:
             self._process = subprocess.Popen(
                 ["/usr/sbin/sshd", "-D", "-e", "-f", str(folder / "sshd_config")], stdout=log, stderr=log
@@ -117,7 +117,7 @@ def test_the_script_is_clean_and_the_build_keeps_it_fresh():
 
 
 def test_a_command_meets_the_environment_of_a_login(machine):
-    """Whatever a .bashrc has set of other workspaces."""
+    """Even if a .bashrc has set up other workspaces."""
     login = subprocess.run(
         ["sh", "-c", ". %s/devel/setup.sh && env" % ROOT], env=BARE, stdout=subprocess.PIPE, text=True, check=True
     )
@@ -353,13 +353,13 @@ class BaseStation:
         return log, child
 
     def refused(self):
-        """What the machine says when it does not start."""
+        """What the machine prints when it refuses to start."""
         output, errors = self.session.communicate(timeout=LIMIT_S)
         assert (self.session.returncode, output) == (1, ""), errors
         return errors
 
     def end(self):
-        """The launching roslaunch is gone; its session may still stand, as after an outage that nobody noticed."""
+        """End the launching roslaunch; its session may stay open, as after an outage that was not noticed."""
         if self._thread.is_alive():
             self._server.shutdown()
             self._server.server_close()
@@ -377,7 +377,7 @@ class BaseStation:
 
 @pytest.fixture
 def station(machine, tmp_path):
-    """Makes launching sides; whatever a test leaves of them is ended."""
+    """Makes launching sides; those that a test leaves running are ended."""
     made = []
 
     def make(**options):
@@ -410,7 +410,7 @@ def test_the_exit_code_of_roslaunch_comes_back(station):
 
 
 def test_when_the_session_ends_so_does_everything_in_it(station):
-    """Also a node that hears no SIGINT, and with a base station that does not answer."""
+    """Also a node that ignores SIGINT, and with a base station that does not answer."""
     base = station()
     base.start(STUBBORN)
     base.end()
@@ -449,7 +449,7 @@ def test_of_two_launches_at_the_same_time_one_starts(station):
 
 
 def test_a_real_launch_over_ssh(machine, tmp_path):
-    """roslaunch and paramiko themselves: a node starts, a second launch is refused in words, Ctrl-C ends everything."""
+    """roslaunch and paramiko themselves: a node starts, a second launch is refused with the reason, Ctrl-C ends all."""
     ssh = tmp_path / "home/.ssh"
     ssh.mkdir(parents=True)
     for name in ("id_ed25519", "known_hosts"):

@@ -34,7 +34,7 @@ def rows(heading):
 
 
 def expanded(text):
-    """Numbers in words: "7.8 to 7.10, 7.12" are 7.8, 7.9, 7.10, 7.12; "24 and 25b" are 24, 25b."""
+    """Numbers that a text lists: "7.8 to 7.10, 7.12" are 7.8, 7.9, 7.10, 7.12; "24 and 25b" are 24, 25b."""
     found = []
     for part in re.split(r", | and ", text):
         first, _, last = part.partition(" to ")

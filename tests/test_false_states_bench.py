@@ -1,4 +1,4 @@
-"""The benchmark of false states: what it counts, of made-up frames and of a flight."""
+"""The benchmark of false states: what it counts in made-up frames and in a flight."""
 
 import json
 

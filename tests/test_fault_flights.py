@@ -38,9 +38,10 @@ def flown(folder, *faults, options=SHORT):
 
 
 def hold_in_time(fault, folder, summary):
-    """Whether all vehicles that flew were sent the command to hold, by the clock of the computer that flies: none
-    sooner than states may be old, which counts from their exposure, and none later than the limit, and than this
-    computer was for the virtual lab.
+    """Whether all vehicles that flew were sent the command to hold in time, by the clock of the computer that flies.
+
+    Not before 50 ms, since states may be that old, counted from their exposure; not after the limit plus the greatest
+    lateness of the virtual lab.
     """
     reactions_ms = list(fault["reactions_ms"].values())
     most_ms = limit_ms(folder / "fleet.yaml") + summary["lab_late_ms"]["max"]
@@ -73,12 +74,12 @@ def test_a_flight_with_a_short_blackout_ends_at_home(tmp_path):
 
 
 MIXED = ("--fleet", ROOT / "launch" / "fleets" / "mixed3.yaml", "--mocap-rate", "100")  # risc1, risc2 and iris1
-OF_TYPES = "risc1", "iris1"  # to which a fault happens that happens to one
+OF_TYPES = "risc1", "iris1"  # to which faults of a single vehicle happen
 FIRST_S, APART_S, LASTS_S = 2.0, 6.0, 2.0
 
 
 def each_flown(folder, *faults):
-    """Fly a mixed fleet until each fault has begun while all were up. Returns what became of each, in their order."""
+    """Fly a mixed fleet until each fault has begun while all vehicles were up. Returns the outcomes in order."""
     outcomes = []
     while len(outcomes) < len(faults):
         left = faults[len(outcomes) :]
@@ -97,7 +98,7 @@ def each_flown(folder, *faults):
 
 
 def lasting(name):
-    """The fault at its default, for each type if it happens to one vehicle; one that would last does so for a while."""
+    """The fault with its defaults, for each type if it is a fault of one vehicle; a lasting one is limited in time."""
     settings, words = fault_settings(name), [""]
     if settings.argument == "severity" or math.isinf(settings.default.duration_s):
         shortest_s, longest_s = settings.duration_s
@@ -139,9 +140,9 @@ PROGRAMS = (
 COME_BACK = ("mocap_client", "driver,iris1", "transmitter,iris1")  # they may be back before a vehicle has to land
 
 
-# Horizontally. Without faults they need 0.5 m/s and 0.5 m/s^2, on their way to the courses; they are stopped with 2.5.
+# Horizontal. Without faults vehicles reach 0.5 m/s and 0.5 m/s^2 on the way to their courses; a stop takes 2.5 m/s^2.
 FASTEST_M_S, HARDEST_M_S2 = 0.65, 2.8
-OVER_S, STEP_S = 0.2, 0.02  # what they are means of; of the grid
+OVER_S, STEP_S = 0.2, 0.02  # averaging time; step of the grid
 
 
 def jumped(folder):

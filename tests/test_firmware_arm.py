@@ -12,7 +12,7 @@ from rosserial_python import protocol
 CONTROLS, PPM_STATUS = 100, 125
 FRAME_US, CHANNELS, PULSE_US = 20000, 4, 250  # as shipped
 STATUS = struct.Struct("<IIIIBI4HIIBfIfI")  # a PpmStatus of four channels
-LAST_PERIOD_US = 900  # the shortest channel: what an interrupt may come late at most
+LAST_PERIOD_US = 900  # the shortest channel: an interrupt must not come later than that
 HELD, HELD_US = (0.124, -0.456, 0.788, 0.2), (1562, 1272, 1600, 1894)  # a command of whole ticks, and its channels
 SETTLED_US = 300_000  # until it is in the signal: the line is behind by then, and the slew limit takes 90 ms
 
@@ -64,7 +64,7 @@ def fly(board, messages, every_us=22000):
 
 
 def load(board, commands, rng):
-    """Messages back to back, and what looks like packets between them."""
+    """Send messages back to back, with beginnings of packets between them."""
     for command in commands:
         false_start = bytes((0xFF, 0xFE, 200, 0, 55)) * rng.randrange(4)
         board.uart.receive(controls(*command) + false_start)
@@ -148,8 +148,8 @@ def test_every_channel_is_what_the_message_says(tmp_path, constants):
 
 
 def test_the_worst_jitter_of_a_channel(shipped, capsys):
-    """Under all the load that the line can bring, of commands that change, then of one that is held: its channels are
-    known. Edges are the timer's own: only a late interrupt could move them."""
+    """Under the full load of the line: first with changing commands, then with a constant one, whose channels are
+    known. The timer itself makes the edges: only a late interrupt could move them."""
     rng = random.Random(4)
     worst, off_us = {}, {"channel": [], "pulse": [], "frame": []}
     for priorities in (True, False):
@@ -273,8 +273,8 @@ def test_no_frame_mixes_two_messages(tmp_path, shipped):
 
 
 def test_an_interrupt_that_is_kept_waiting_costs_one_period(tmp_path, shipped):
-    """Interrupts are masked for longer than any period. Without a look at the counter the timer would run round, for
-    102 s: the control arm."""
+    """Interrupts are masked for longer than any period. Without a check of the counter the timer would run a full
+    round of 102 s: the control arm."""
     naive = due.configured(tmp_path, [("firmware.h", "if (delay + kMargin > period) {", "if (false) {")])
     for build, survives in ((shipped, True), (due.build(naive, tmp_path), False)):
         board = due.Due(*build)

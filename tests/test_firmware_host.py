@@ -133,7 +133,7 @@ def test_a_failsafe_at_the_lowest_end_of_the_throttle_compiles(tmp_path, constan
 
 
 def syntax_checked(folder, constants):
-    """The finished compiler, of a sketch with these constants."""
+    """CompletedProcess of the compiler for a sketch with these constants."""
     sketch = due.configured(folder, **constants)
     program = folder / "main.cpp"
     program.write_text('#include "dueppm/firmware.h"\ndueppm::Firmware<dueppm::Configuration> firmware;\n')

@@ -35,8 +35,8 @@ PAIR_RATE_HZ = 100.0  # of two flights at the same time: two cores have no time 
 def frames_passed_over(path):
     """{stamp [s] of a frame of the bag that has no states: age [ms] of the states that came next}.
 
-    An estimator passes over the oldest of more frames than may wait (queue_s): what it estimates next is as old as
-    the others that wait. From take-off to the operator's result: before and after, all programs start and end.
+    If more frames wait than may (queue_s), an estimator skips the oldest: its next estimate is as old as the frames
+    that still wait. Only from take-off to the operator's result: before and after, all programs start and end.
     """
     frames_s, age_ms, begun = set(), {}, False
     with Bag(path) as bag:
@@ -62,7 +62,7 @@ def frames_passed_over(path):
 
 @pytest.fixture(scope="module")
 def circles(tmp_path_factory):
-    """The default experiment, shorter: (exit code, output, summary, folder). Its programs tell what numba did."""
+    """The default experiment, shorter: (exit code, output, summary, folder). Its programs log what numba did."""
     environment = dict(os.environ, RISC_MAAP_ROOT=str(ROOT), NUMBA_DEBUG_CACHE="1")
     return fly(tmp_path_factory.mktemp("flight"), "--duration", "10", env=environment)
 
@@ -142,9 +142,10 @@ ON_COURSE_S = 4.0
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
-    """{name: (folder, exit code)} of COURSES, flown at the same time beside a master on the default port that is none
-    of ours: one is interrupted on its course; then of the other one ./maap fly and roslaunch are gone at once, as when
-    memory runs out, and ./maap stop ends what is left.
+    """{name: (folder, exit code)} of COURSES, flown at the same time beside a foreign master on the default port.
+
+    One is interrupted on its course; then ./maap fly and roslaunch of the other one are killed, as when memory runs
+    out, and ./maap stop ends what is left.
     """
     root = tmp_path_factory.mktemp("pair")
     fleet = yaml.safe_load((ROOT / "launch/fleets/ardrones3.yaml").read_text())
@@ -173,7 +174,7 @@ def pair(tmp_path_factory):
 
 
 def kill_and_stop(flight):
-    """End a flight, as ./maap stop does, whose ./maap fly and roslaunch are no more."""
+    """Kill ./maap fly and roslaunch of a flight; end the rest as ./maap stop does."""
     children = psutil.Process(flight.pid).children()
     launch = next(child for child in children if "roslaunch" in " ".join(child.cmdline()))
     identity = launch.environ()[MARK]
@@ -197,7 +198,7 @@ def time_at_heading(path, vehicle, psi_deg):
 
 
 def bag_of(folder):
-    """Of a flight; what had no time to complete it is made up for."""
+    """The bag of a flight; it is completed here if the flight had no time to."""
     path = folder / "flight.bag"
     if not path.exists():
         path.with_name("flight.bag.active").rename(path)

@@ -1,8 +1,8 @@
 """What comes from the wire, damaged: each parser gets 1e5 inputs in the first tier and 1e7 in the second.
 
-No input raises, hangs or takes memory, and what comes out would pass the checks that are written down here again. Each
-parser has a control arm: without one of its checks the same inputs must be noticed. `./maap fuzz` runs the decoder of
-Cortex for longer.
+No input may raise, hang or fill the memory, and what the parser accepts must pass the checks that are repeated here.
+Each parser has a control arm: with one of its checks removed, the same inputs must be noticed. `./maap fuzz` runs the
+decoder of Cortex for longer.
 """
 
 import itertools
@@ -48,7 +48,7 @@ def fuzz_cortex_decoder(package, runs, build):
 
 
 def test_cortex_decoder_survives_a_bounded_run(tmp_path, inputs):
-    """C++, under the address and undefined-behaviour sanitizers, inputs led by coverage."""
+    """C++, under the address and undefined-behaviour sanitizers, with coverage-guided inputs."""
     runs = inputs(FEW, MANY)
     done = fuzz_cortex_decoder(CORTEX, runs, tmp_path)
     assert done.returncode == 0, done.stdout[-4000:]
@@ -57,7 +57,7 @@ def test_cortex_decoder_survives_a_bounded_run(tmp_path, inputs):
 
 
 def test_cortex_decoder_without_its_length_check_is_noticed(tmp_path):
-    """The control arm, of a copy: no macro in the decoder can leave the check out."""
+    """The control arm, on a changed copy: the decoder has no macro that leaves the check out."""
     package = tmp_path / "cortex_ros"
     for folder in ("include", "src", "test"):
         shutil.copytree(CORTEX / folder, package / folder)
@@ -70,7 +70,7 @@ def test_cortex_decoder_without_its_length_check_is_noticed(tmp_path):
 
 
 class NoticedError(AssertionError):
-    """A parser has let something pass."""
+    """A parser has accepted a bad input."""
 
 
 def check(condition, what, data):
@@ -79,9 +79,9 @@ def check(condition, what, data):
 
 
 class Parser:
-    """One with what feeds it. A sabotage is what monkeypatch sets for the control arm."""
+    """A parser and its inputs. sabotage: what monkeypatch sets for the control arm."""
 
-    accepted = 0  # what it took for sound: were there none, nothing would be tried
+    accepted = 0  # number of inputs that it took for valid: without any, nothing would be tested
     repair = None  # see fuzzing.damaged
 
 
@@ -242,7 +242,7 @@ class Mavlink(Parser):
 
     @staticmethod
     def _sum(frame):
-        """What the checksum of a frame has to be, None when it is of no message that is known."""
+        """The correct checksum of a frame; None if the message is not known."""
         head, number = (6, frame[5]) if frame[0] == 0xFE else (10, int.from_bytes(frame[7:10], "little"))
         known = mavlink.mavlink_map.get(number)
         if known is None:

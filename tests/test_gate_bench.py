@@ -1,4 +1,4 @@
-"""The benchmark of the gate, in small: its keys, which scripts rely on, and that it can tell a gate from none."""
+"""Short runs of the gate's benchmark: its keys, which scripts rely on, and that it can tell a gate from none."""
 
 import functools
 import json
@@ -15,8 +15,8 @@ from risc_lab.states import S
 
 # in this process: another would find the driver's sources before its messages, once a test here has imported them
 SMALL = ["--frames", "6000", "--injections", "8", "--outages", "24", "--seeds", "2", "--workers", "1"]
-TRUSTING = ["acceleration=1e-4", "climb_acceleration=1e-4", "disturbance=0", "tilt_command=1e-3"]  # its own model
-IMMOBILE = ["acceleration_max_m_s2=0.1", "speed_max_m_s=0.1", "memory_s=1e6"]  # is what it takes bodies for
+TRUSTING = ["acceleration=1e-4", "climb_acceleration=1e-4", "disturbance=0", "tilt_command=1e-3"]  # of its own model
+IMMOBILE = ["acceleration_max_m_s2=0.1", "speed_max_m_s=0.1", "memory_s=1e6"]  # what it assumes of bodies
 ALL = dict.fromkeys(bench.FAULT_OF, 1.0)
 
 
@@ -110,7 +110,7 @@ def test_wrong_use_is_refused(wrong):
 
 
 def test_a_tape_is_the_flight_that_was_flown():
-    """Its estimator, with exact cameras' noise aside, follows the truth; the same tape comes out of the same flight."""
+    """Its estimator follows the truth, apart from noise; the same flight gives the same tape."""
     flight = Flight("circle", vehicles=2, seed=3, duration_s=2.0)
     tape = record(flight, ("command", "velocity", "attitude"))
     assert tape.names == ("fluffy_II", "albatross") and len(tape.times_s) == len(tape.told) == pytest.approx(400, abs=2)

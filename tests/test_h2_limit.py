@@ -1,4 +1,4 @@
-"""The least error in gusts: against what is known in closed form, against the optimal loop simulated, and its sense."""
+"""The least error in gusts: against closed forms, against a simulation of the optimal loop, and its trends."""
 
 import math
 from dataclasses import replace
@@ -52,7 +52,7 @@ def test_of_a_double_integrator_without_delay():
 
 
 def simulated_rms(axis, K, delay_frames, hold_frames, frame_s, seconds=400.0, seed=1, doubt=0.0):
-    """Of the loop, step by step: a filter that knows which commands are on their way, and predicts with them."""
+    """RMS error of the simulated loop; its filter knows which commands are on their way, and predicts with them."""
     _, A, b, g, H, R = axis
     n, rng = len(b), np.random.default_rng(seed)
     both = expm(frame_s * np.block([[A, b[:, None]], [np.zeros((1, n + 1))]]))
@@ -65,10 +65,10 @@ def simulated_rms(axis, K, delay_frames, hold_frames, frame_s, seconds=400.0, se
         before, P = P, Phi @ P @ Phi.T + W + doubt**2 * frame_s * np.outer(b, b)
         L = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         P = P - L @ H @ P
-        if np.abs(P - before).max() < 1e-12 * np.abs(P).max():  # it has long settled
+        if np.abs(P - before).max() < 1e-12 * np.abs(P).max():  # it has settled
             break
     powers = [np.linalg.matrix_power(Phi, k) for k in range(delay_frames + 1)]
-    to_come = np.array([power @ Gamma for power in powers[-2::-1]]).reshape(delay_frames, n).T  # by each on its way
+    to_come = np.array([power @ Gamma for power in powers[-2::-1]]).reshape(delay_frames, n).T  # effect of each command
     x, known, squares, commands = np.zeros(n), np.zeros(n), 0.0, 0.0
     on_their_way = [0.0] * delay_frames  # the command of each of the next frames
     frames = int(seconds / frame_s)
@@ -169,7 +169,7 @@ def test_of_small_noise_it_grows_with_the_gust_and_without_gusts_it_is_nothing()
 
 
 def test_how_position_and_angle_err_together_matters_with_its_sense():
-    """Errors of position that look like those of a tilt: known to be, they are told apart."""
+    """Errors of position that are correlated with those of the tilt, each axis with the right sign."""
     pitch, roll = POSE.copy(), POSE.copy()
     pitch[0, 4] = pitch[4, 0] = roll[1, 3] = roll[3, 1] = 0.9 * 0.001 * 0.008
     (_, left, up), (ahead, _, _), (_, turned, _) = (axes_of(DRONE, C, 0.1, 0.5) for C in (POSE, pitch, roll))

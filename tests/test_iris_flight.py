@@ -18,7 +18,7 @@ from risc_maap_msgs.msg import PpmStatus, Safety, VehiclePhase
 pytestmark = pytest.mark.alone
 RMSE_LIMIT_M = 0.008  # the requirement; docs/performance.md measures what is reached
 ACCIDENT_M = 0.05  # a gate for a fleet of which the requirement says nothing
-PILOT_S = 4.0  # until it is noticed that somebody else flies, whose sticks may be as ours at first
+PILOT_S = 4.0  # until it is noticed that somebody else flies: the sticks may equal ours at first
 GONE_S = 60.0  # longer than the rest of the flight
 LATE_S = 0.3  # what a busy computer may add to the limits of the ladder
 
@@ -31,7 +31,7 @@ def process_of(folder, word):
 
 
 def cut_off(channel, fault="blackhole", duration_s=GONE_S):
-    """Something happens to a wire of the vehicle."""
+    """Function (folder) that injects a fault on a wire of the vehicle."""
     request = "{fault: %s, duration_s: [%g], channel: %s}" % (fault, duration_s, channel)
 
     def inject(folder):
@@ -45,12 +45,12 @@ def cut_off(channel, fault="blackhole", duration_s=GONE_S):
 
 
 def kill(word):
-    """A program dies."""
+    """Function (folder) that kills a program."""
     return lambda folder: process_of(folder, word).send_signal(signal.SIGKILL)
 
 
-# What fails: how; the rule of the ladder that lands the vehicle (without: the board, whose failsafe the autopilot takes
-# for a lost radio, or a node that came back), its limit [s], and the topics of which it is the silence.
+# {what fails: (how, the ladder's rule that lands the vehicle, its limit [s], topics whose silence triggers the rule)}.
+# Without a rule: the board, whose failsafe the autopilot takes for a lost radio, or a node that came back.
 BOARD, TELEMETRY = ("/iris1/ppm_status",), ("/iris1/apm/state", "/iris1/apm/status", "/iris1/apm/rc")
 FAILURES = {
     "board reset": (cut_off("iris1/arduino", "cut", 0.05), Safety.NAVDATA, 0.5, BOARD),

@@ -20,7 +20,7 @@ OF_A_WORKSPACE = ("LD_LIBRARY_PATH", "PYTHONPATH", "CMAKE_PREFIX_PATH", "ROS_PAC
 
 @contextlib.contextmanager
 def node_of_this_workspace():
-    """Beside one that runs nothing is built: only what is there is tested, whatever is edited meanwhile."""
+    """While such a node runs, nothing is built: the test uses the existing build, whatever is edited meanwhile."""
     command = [sys.executable, "-c", "import time; time.sleep(600.0)", "__name:=pretender"]
     with subprocess.Popen(command, env=dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))) as process:
         try:
@@ -31,7 +31,7 @@ def node_of_this_workspace():
 
 @contextlib.contextmanager
 def lab_in_a_plain_shell(*options):
-    """The process of `./maap lab`, which is ended afterwards and has to end well."""
+    """The process of `./maap lab`; it is ended afterwards, and has to end without an error."""
     plain = {name: value for name, value in os.environ.items() if name not in OF_A_WORKSPACE}
     process = subprocess.Popen(
         [str(ROOT / "maap"), "lab", *options], env=plain, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True

@@ -28,11 +28,11 @@ from risc_visual.pictures import rviz_pictures
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "launch/legacy"
 PAGE = ROOT / "docs/legacy_launch_files.md"
-STARTED_S = 300.0  # until a graph is complete, on a computer that does much else
-FLOWN_S = 150.0  # until a flight has ended, the same
+STARTED_S = 300.0  # until a graph is complete, on a busy computer
+FLOWN_S = 150.0  # until a flight has ended, on a busy computer
 SOME = ("test_DF",)  # an IRIS+
-FLOWN = "Hows_sim"  # from take-off to landing, which the others are not
-STILL_S = 0.7  # a graph that has not changed for so long is complete
+FLOWN = "Hows_sim"  # from take-off to landing; the others are only started
+STILL_S = 0.7  # a graph that has not changed for this time is complete
 
 # ----------------------------------------------------------------------------------- what the original's files say
 
@@ -65,7 +65,7 @@ def driver(vehicle="risc1", **params):
 
 
 def flight(joystick=JOYSTICK, vehicle="risc1", node="risc_controller.py", mocap=True, **params):
-    """The same of everything that one vehicle needs; params: of its driver."""
+    """As `driver`, for everything that one vehicle needs; params: of its driver."""
     nodes, values = driver(vehicle, **params)
     nodes["/%s/joy_node" % vehicle] = "joy/joy_node"
     nodes["/%s/joystick_controller" % vehicle] = "risc_control/" + node
@@ -78,7 +78,7 @@ def flight(joystick=JOYSTICK, vehicle="risc1", node="risc_controller.py", mocap=
 
 
 def iris_flight():
-    """The same of an IRIS+, which is driven by two nodes."""
+    """As `flight`, for an IRIS+, which is driven by two nodes."""
     nodes = {
         "/iris1/apm/roscopter": "roscopter/driver.py",
         "/iris1/arduino": "rosserial_python/serial_node.py",
@@ -93,7 +93,7 @@ def iris_flight():
 
 
 def on_one_computer(*vehicles):
-    """The same of several: their driver and their joystick node are one each."""
+    """As `flight`, for several vehicles with one driver and one joystick node for all."""
     both = {}, {}
     for vehicle in vehicles:
         for found, part in zip(both, flight(vehicle=vehicle)):
@@ -199,7 +199,7 @@ FILES = {
     ),
 }  # fmt: skip
 
-# Those that other folders have, and what starts them here: arguments in which IP is the virtual vehicle's address.
+# Files in other folders, and the arguments that start them here: IP is the virtual vehicle's address.
 ELSEWHERE = {
     "Multi_Machine_Experiment": None,  # has tests of its own
     "risc_camera_setup": ("gui:=false", "ip:=IP", "bag:=FOLDER/front.bag"),
@@ -211,7 +211,7 @@ ELSEWHERE = {
     "vert_dronejoy": ("ip:=IP",),
     "edge_uvc": ("device:=PICTURES",),
 }
-# What the page must say why it is not there.
+# Files of the original whose absence the page must explain.
 ABSENT = {"tum_ardrone", "IP_origin", "DF_pen_sim", "IP_Simulation_verification"}
 
 
@@ -385,7 +385,7 @@ class Graph:
         self._uri = "http://127.0.0.1:%d" % port
 
     def wait(self, nodes):
-        """Until these nodes answer and the graph has been still for a while. What is wrong, "" when nothing is."""
+        """Wait until these nodes answer and the graph has settled. Returns what is wrong, "" if nothing."""
         deadline, seen, since = time.monotonic() + STARTED_S, None, 0.0
         while time.monotonic() < deadline:
             problem = self._problem()
@@ -400,7 +400,7 @@ class Graph:
         return "not complete within %g s; missing: %s\n%s" % (STARTED_S, self._missing(nodes), self.launch.log_tail())
 
     def wait_for_line(self, text, timeout_s):
-        """Until the log has it. What is wrong, "" when nothing is."""
+        """Wait until the log has the text. Returns what is wrong, "" if nothing."""
         deadline = time.monotonic() + timeout_s
         while text not in self.launch.log_path.read_text(errors="replace"):
             problem = self._problem() or ("no '%s' in %g s" % (text, timeout_s) if time.monotonic() > deadline else "")
@@ -410,7 +410,7 @@ class Graph:
         return ""
 
     def end(self):
-        """Ctrl-C. What is wrong with how it ended, "" when nothing is."""
+        """Send Ctrl-C. Returns what is wrong with how it ended, "" if nothing."""
         killed = self.launch.stop()
         self._reservation.close()
         left = marked_processes(self.launch.identity)
@@ -446,7 +446,7 @@ class Graph:
 
 
 def starts(name, folder):
-    """Start a file once. What is wrong, "" when nothing is."""
+    """Start a file once. Returns what is wrong, "" if nothing."""
     if name in FILES:
         path = FOLDER / (name + ".launch")
         declared = re.findall('<arg name="([a-z_]+)"', path.read_text())
@@ -534,7 +534,7 @@ def pursue(folder):
             elif message.course == "NGC":
                 let_go_s = min(let_go_s, stamp.to_sec())
                 if message.vehicles[0].phase != VehiclePhase.COURSE:
-                    home_s = min(home_s, stamp.to_sec())  # it pursues no more, and a way home is planned
+                    home_s = min(home_s, stamp.to_sec())  # the pursuit has ended, and a way home is planned
     target, truth = np.array(target), np.array(truth)
     settled = truth[(truth[:, 0] > let_go_s + 11.0) & (truth[:, 0] < home_s - 0.1)]
     places = np.column_stack([np.interp(settled[:, 0], target[:, 0], target[:, axis]) for axis in (1, 2)])

@@ -30,8 +30,8 @@ CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross"}
 RATE_HZ = 100.0  # of motion capture and references: the browser needs the time
 DRAWING = ("draw_risc_maap", "draw_cortex", "draw_trajectories", "draw_angles")
-FLOWN_ON_S = 2.0  # without those: time enough for the ladder to land it four times over
-PATIENCE_S = 300.0  # for what takes seconds on a computer with time
+FLOWN_ON_S = 2.0  # without those: four times the ladder's limit for a landing
+PATIENCE_S = 300.0  # for what takes seconds on an idle computer
 WINDOW = (640, 480)  # few pixels: each costs time
 ALL_SEEN = re.compile(r"motion capture \d+ Hz, 2 of 2 seen")
 LEAST_PIXELS = 30  # of each colour
@@ -62,7 +62,7 @@ pytestmark = [
 
 
 def wait_for(condition, what, is_hopeless=lambda: False):
-    """Until the condition holds. what: called for the text that tells what there was instead."""
+    """Wait until the condition holds. what: function that returns what there was instead, for the error."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline and not is_hopeless(), "never came; there was:\n%s" % what()
@@ -92,7 +92,7 @@ class Flight:
         return any(words in self.log() for words in ("operator: result failed", "landed by its loss ladder"))
 
     def summary(self):
-        """As far as it tells whether the computer had time; {} when the lab has not ended by itself."""
+        """The part of the summary that tells whether the computer had time; {} if the lab has not ended by itself."""
         if not self._statistics.exists():
             return {}
         return {"lab_late_ms": json.loads(self._statistics.read_text())["late_ms"]}
@@ -145,7 +145,7 @@ class Page:
         return self.driver.execute_script("return %s" % TEXT)
 
     def text_and_age(self):
-        """(text, does it say that it is old): of one moment, for a browser that gets no time is old now and then."""
+        """(text, whether the page says that it is old) at one moment: the page of a starved browser is old at times."""
         return self.driver.execute_script("return [%s, %s]" % (TEXT, OLD))
 
     def press(self, label):
@@ -187,7 +187,7 @@ def colours(picture):
 
 
 def look_at(flight, folder):
-    """The whole course of events. Returns {what: what was seen}; raises AssertionError when something never came."""
+    """Go through the whole flight. Returns {what: what was seen}; raises AssertionError if something never came."""
     seen = {}
     wait_for(lambda: "the flight in a browser: http://127.0.0.1:%d" % flight.port in flight.log(), flight.log)
     seen["listens to, unwatched"] = flight.listens_to()
@@ -287,7 +287,7 @@ def test_land_all_lands_all_by_their_safety(seen):
         assert [rule for level, rule in said if level == FailsafeLevel.LAND] == [Rule.REQUEST]
         assert said[-1] == (FailsafeLevel.OK, Rule.NONE), "it has landed"
         assert seen["heights_m"][template] < 0.1, "it stands on the floor"
-    (result,) = seen["results"]  # its begin is of whom the operator heard first: of the button, or of the vehicles
+    (result,) = seen["results"]  # it begins with what reached the operator first: the button, or the vehicles
     assert re.match("landing was requested|no vehicle flies any more", result), result
 
 

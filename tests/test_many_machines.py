@@ -49,16 +49,16 @@ ARDRONE = load_vehicle_type("ardrone")
 LATE_S = 0.25  # a command is on its way, and the computer is busy with other things
 HANDLING_S = 0.05  # from the decision to the vehicle's network card
 DECISION_S = 0.01  # from the look at a state's age to the command
-REPEAT_S = 1.0 / 30.0  # for so long the driver repeats a command: until the next one
+REPEAT_S = 1.0 / 30.0  # how long the driver repeats a command: until the next one
 CLOCK_ERROR_S = 0.05
-# What a cable has lost is sent again about 0.04, 0.12, 0.28 and 0.6 s later: a cut that is longer may rightly land.
+# TCP sends lost packets again about 0.04, 0.12, 0.28 and 0.6 s later: after a longer cut a vehicle may rightly land.
 SHORT_CUT_S, LONGEST_SHORT_CUT_S = 0.2, 0.25
 LANDING_S = 4.0  # from a metre
-FLOOR_M = 0.15  # a vehicle's centre that is lower stands
+FLOOR_M = 0.15  # a vehicle whose centre is lower is on the floor
 END_S = 90.0  # for Ctrl-C; a computer that is gone costs roslaunch 20 to 40 s
 GONE_S = 8.0  # from the end of roslaunch to that of the last process; after that the guards of the sessions would kill
-# A place for each, far from the others, which would land with one that comes near. An aircraft that hears nothing any
-# more keeps its last tilt for a second, 1 to 4 degrees, and drifts: the net is wider than that.
+# A place for each, far from the others, which would land with one that comes near. An aircraft that gets no commands
+# any more keeps its last tilt for a second, 1 to 4 degrees, and drifts: the net is wider than that.
 APART = ("course:=origin", "course_options:={spacing_m: 3.0}")
 pytestmark = pytest.mark.alone
 LAPTOPS = tuple(VEHICLE_OF)
@@ -68,7 +68,7 @@ SECOND_SET = {"joystick_controller", "joy_node"}  # on each laptop
 
 @pytest.fixture(scope="module")
 def namespaces():
-    """For what needs more than one computer."""
+    """Skip tests that need more than one computer where no namespaces can be made."""
     if unsupported():
         pytest.skip("NO FOUR HOSTS, THEY ARE NOT TESTED: " + unsupported())
 
@@ -79,7 +79,7 @@ def measured(text, *values):
 
 
 def vehicle_ends_landed(hosts, vehicle):
-    """It took off once, nobody had to cut its motors, it stands; and no vehicle hit anything."""
+    """Assert that it took off once, has landed without an emergency stop, and that no vehicle hit anything."""
     figures = hosts.statistics["vehicles"][vehicle]
     counts = figures["host"]
     assert (figures["phase"], counts["take_offs"], counts.get("emergencies", 0)) == ("landed", 1, 0), figures
@@ -87,14 +87,14 @@ def vehicle_ends_landed(hosts, vehicle):
 
 
 def landing_ordered(hosts, vehicle, since_s):
-    """When the first order to land since then reached the vehicle [s]."""
+    """Time [s] at which the first order to land since since_s reached the vehicle."""
     times = [c.time_s for c in hosts.commands(vehicle) if c.time_s >= since_s and orders_landing(c)]
     assert times, "%s was never told to land" % vehicle
     return times[0]
 
 
 def assert_flown_on(hosts, vehicle, begin_s, end_s):
-    """It was flown by commands all the time: none of the gaps lets the ladder land it, and no order to land."""
+    """Assert that commands flew it all the time: no gap that would let the ladder land it, and no order to land."""
     assert begin_s < end_s, "there was no such time"
     times = [c.time_s for c in hosts.commands(vehicle) if begin_s <= c.time_s <= end_s and moves(c)]
     gaps = [later - earlier for earlier, later in zip([begin_s, *times], [*times, end_s])]
@@ -104,9 +104,9 @@ def assert_flown_on(hosts, vehicle, begin_s, end_s):
 
 
 def told_to(hosts, vehicle):
-    """What the vehicle's node told it: sticks (k, 4), stamps (k,) of the states that these answer, and when (k,) [s].
+    """What the vehicle's node sent: sticks (k, 4), stamps (k,) [s] of the states that these answer, times (k,) [s].
 
-    NaN: they answer none, its node brakes it. No two have equal sticks.
+    A stamp of NaN: they answer no state, the node brakes the vehicle. No two have equal sticks.
     """
     template = ARDRONE.laboratory[vehicle]
     most = greatest_command(ARDRONE)
@@ -123,16 +123,16 @@ def told_to(hosts, vehicle):
 
 
 def which_of(told, command):
-    """Row of what was told that a command on the wire is; None when nobody has told that."""
+    """The row of `told` (see `told_to`) that equals a command on the wire; None if there is none."""
     off = np.abs(told - command.arguments[1:5]).max(axis=1)
     which = int(off.argmin())
     return which if off[which] < 1e-6 else None
 
 
 def assert_not_moved(hosts, vehicle, begin_s, end_s):
-    """No command reached it but "level, hold altitude", or of its own node that brakes it.
+    """Assert that no command reached it but "level, hold altitude" and those by which its own node brakes it.
 
-    begin_s: HANDLING_S after the last decision that may move it; for that the computer has not to stand still.
+    begin_s: HANDLING_S after the last decision that may move it, without the time for which the computer stands still.
     """
     told, stamps_s, _ = told_to(hosts, vehicle)
     brakes = told[np.isnan(stamps_s)]
@@ -143,7 +143,7 @@ def assert_not_moved(hosts, vehicle, begin_s, end_s):
 
 
 def stands_after(hosts, template, since_s):
-    """How long after that motion capture saw the vehicle on the floor [s]."""
+    """How long [s] after since_s motion capture saw the vehicle on the floor."""
     with Bag(hosts.folder / "flight.bag") as bag:
         for _, receipt_s, message in bag.messages(["/cortex_raw"]):
             heights_m = [entry.z for entry in message.Obj if entry.name == template]
@@ -153,10 +153,11 @@ def stands_after(hosts, template, since_s):
 
 
 def state_ages(hosts, vehicle):
-    """[(time on the wire [s], age of the state that it answers then [s], the first time?)] of what moved the vehicle.
+    """[(time on the wire [s], age of the answered state then [s], is it the first time?)] of commands that moved it.
 
-    The age is less what the computer stood still after the last moment at which the state could be answered.
-    Left out: after the bag's end; of risc3, what may have died with the base station before its cable was plugged.
+    The time for which the computer stood still, after the last moment at which the state could be answered, is
+    subtracted from the age. Left out: commands after the end of the bag; of risc3 those after its cable was pulled,
+    since their record may have been lost with the base station.
     """
     told, stamps_s, _ = told_to(hosts, vehicle)
     with Bag(hosts.folder / "flight.bag") as bag:
@@ -195,7 +196,7 @@ def test_the_hosts_have_no_way_out():
 
 
 def test_the_times_on_the_wire_are_the_kernels():
-    """However busy the one who writes them down is."""
+    """Even if the program that logs them is busy."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         ask_for_times(receiver)
@@ -210,7 +211,7 @@ def test_the_times_on_the_wire_are_the_kernels():
             assert packet == b"x"
             return before_s - 1e-5 <= time_s <= after_s + 1e-5  # rounding
 
-        # the first socket of a computer that asks waits for a worker of the kernel; until then the reader's time counts
+        # the kernel needs a moment to enable stamps for the first socket that asks; until then the reader's time counts
         wait_until(is_stamped_on_arrival, "a stamp of the arrival")
 
 
@@ -346,7 +347,7 @@ def test_the_report_shows_the_latency_of_every_host(outages):
         for row in re.findall("<tr>.*?</tr>", page, re.DOTALL)
     ]
     for vehicle, laptop in LAPTOP_OF.items():
-        (row,) = [row for row in rows if row[:1] + row[2:3] == [vehicle, laptop]]  # the second says on what it is sent
+        (row,) = [row for row in rows if row[:1] + row[2:3] == [vehicle, laptop]]  # column 2: on what it is sent
         p50, p95, p99, largest = (float(cell.split()[0]) for cell in row[3:7])
         assert 0.0 < p50 <= p95 <= p99 <= largest and int(row[7]) > 200, row
         measured(
@@ -371,7 +372,7 @@ def test_a_link_that_is_out_for_02_s_ends_no_flight(outages):
 
 @pytest.mark.parametrize("vehicle", ["risc2", "risc3"])
 def test_a_link_that_is_out_for_longer_lands_its_vehicle(outages, vehicle):
-    """Ordered by its own node, while nobody can reach it; what comes late, minutes of it, moves nothing."""
+    """Ordered by its own node, while no one can reach that; commands that come late, even minutes, move nothing."""
     begin_s, end_s = outages.cuts[vehicle]
     ordered_s = landing_ordered(outages, vehicle, begin_s)
     measured("link out for %.1f s: %s told to land after %.3f s", end_s - begin_s, vehicle, ordered_s - begin_s)
@@ -384,7 +385,7 @@ def test_a_link_that_is_out_for_longer_lands_its_vehicle(outages, vehicle):
 def test_no_command_answers_a_state_older_than_its_limit(outages):
     """By the clocks of the laptops; the largest of the whole flight, with everything that the outages delayed.
 
-    Allowed is also what the computer stood still between the look at a state's age and the command.
+    The time for which the computer stood still between the check of a state's age and the command is allowed, too.
     """
     computers = computers_of(outages.folder / "flight.bag")
     assert set(computers) == set(LAPTOP_OF)
@@ -397,7 +398,7 @@ def test_no_command_answers_a_state_older_than_its_limit(outages):
 
 
 def test_what_moves_a_vehicle_on_the_wire_is_younger_than_its_limit(outages):
-    """Command by command, also after the short outage, when what it has held up comes all at once."""
+    """Command by command, also after the short outage, when all delayed messages come at once."""
     limit_s = LIMITS.state_hold_s + HANDLING_S
     for vehicle in LAPTOP_OF:
         ages = state_ages(outages, vehicle)

@@ -17,7 +17,7 @@ SOURCES = [
 # The original release had no topic of std_msgs/String; one that had, and its mirror here, would stand in this list.
 STRING = re.compile(r"from std_msgs\.msg import .*\bString\b|std_msgs[./](msg\.)?String\b|std_msgs::String")
 MIRRORS = ()
-# It shows to people what is said to people.
+# It only displays the texts to people.
 SHOWS_DIAGNOSTICS = ("src/risc_doctor/src/risc_doctor/ros_graph.py",)
 
 

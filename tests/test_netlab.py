@@ -32,7 +32,7 @@ def lab():
     with network:
         yield network
     assert leftovers(network) == []
-    with pytest.raises(RuntimeError, match="down"):  # "nothing runs" would be no answer now
+    with pytest.raises(RuntimeError, match="down"):  # it must not answer "nothing runs" now
         network.processes("north")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from risc_lab.priority import FLIGHT, VIRTUAL_LAB
 
-pytestmark = pytest.mark.alone  # the others have a niceness already, which stays
+pytestmark = pytest.mark.alone  # parallel tests already have a niceness, which stays
 
 PROGRAM = """
 import os, threading

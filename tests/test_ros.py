@@ -126,7 +126,7 @@ PROGRAM, SOURCE = str(ROOT / "devel/lib/package/node"), str(ROOT / "src/package/
 
 @contextlib.contextmanager
 def shown_as(*words):
-    """A process of this workspace with this command line. It waits, as nobody reads what it prints."""
+    """A process of this workspace with this command line. It blocks, as nothing reads its output."""
     environment = dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))
     with subprocess.Popen(words, executable=shutil.which("yes"), env=environment, stdout=subprocess.PIPE) as process:
         try:

@@ -1,4 +1,4 @@
-"""driver.py and the IRIS+ of the virtual lab, as a user has them: three programs, and the tools of ROS."""
+"""driver.py and the IRIS+ of the virtual lab, as a user runs them: three programs, and the tools of ROS."""
 
 import contextlib
 import os

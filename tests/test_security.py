@@ -55,7 +55,7 @@ def test_what_listens_in_the_code_is_on_the_page():
 
 
 def heard_by(pid):
-    """[(kind, port, address)] of what a process hears by: bound UDP sockets and TCP listeners."""
+    """[(kind, port, address)] on which a process listens: bound UDP sockets and TCP listeners."""
     kinds = {socket.SOCK_DGRAM: "UDP", socket.SOCK_STREAM: "TCP"}
     return [
         (kinds[entry.type], entry.laddr.port, entry.laddr.ip)
@@ -100,17 +100,17 @@ def test_a_virtual_lab_hears_what_the_page_says(fleet, tmp_path):
     assert all(address.startswith("127.") or address == "255.255.255.255" for address in addresses)
 
 
-PROGRAMS = {  # by which the page calls them -> what is in their command lines
+PROGRAMS = {  # {name on the page: what is in the command line}
     "stream_markers": "/stream_markers ", "ardrone_driver": "/ardrone_driver ", "roscopter": "/roscopter/",
     "serial_node.py": "/serial_node.py ", "live_view": "/live_view ",
     "./maap fly": "risc_experiments.fly |/roslaunch |/roscore ",
 }  # fmt: skip
 EVERYWHERE = ("0.0.0.0", "::")
-OF_ROS = {"TCP": 2, "UDP": 1}  # of a node, at most
+OF_ROS = {"TCP": 2, "UDP": 1}  # ports of a node, at most
 
 
 def not_on_the_page(folder):
-    """["KIND PORT at ADDRESS: command line"] of what programs of a flight hear by, and the page does not tell."""
+    """["KIND PORT at ADDRESS: command line"] on which programs of a flight listen, but that are not on the page."""
     page, stream_port = tables(), load_fleet(folder / "fleet.yaml").mocap.stream_port
     found = []
     for pid in left_behind(folder):
@@ -138,7 +138,7 @@ def names_in(command):
 
 
 def is_told(kind, port, address, cell):
-    """Whether the cell of a row's ports has it."""
+    """Whether the ports cell of a row lists this port and address."""
     has_port = re.search(r"%s[^,;]* %d\b" % (kind, port), cell) or re.search("%s.*any port" % kind, cell)
     return bool(has_port) and (address not in EVERYWHERE or "`*`" in cell)
 
@@ -173,7 +173,7 @@ def test_the_firewall_is_valid():
 
 @pytest.fixture
 def network():
-    """Names of two network namespaces with a cable: ours, and all others' with an address for each."""
+    """Names of two connected network namespaces: ours, and one for all others, with an address for each of them."""
     names = ["risc-maap-%s-%s" % (uuid.uuid4().hex[:6], whose) for whose in ("a", "b")]
 
     def run(*command):

@@ -23,7 +23,7 @@ from risc_simulator.faults import load_faults
 pytestmark = [pytest.mark.release, pytest.mark.alone]
 
 SOAK = "risc_experiments.soak"
-BUSY = {"limits": {"lab_late_ms": 500.0, "latency_ms": 500.0}}  # of a computer that has other things to do
+BUSY = {"limits": {"lab_late_ms": 500.0, "latency_ms": 500.0}}  # for a busy computer
 LEAK = """
 import sys, time
 held = []
@@ -82,7 +82,7 @@ def wait_for_phase(soak, folder, phase):
 
 
 def check_whole(folder, code, output, least_flights):
-    """A soak that went to its end."""
+    """Check a soak that ran to its end."""
     assert code == 0, output
     result = result_of(folder)
     assert result["completed"] and result["violation"] is None and len(result["flights"]) >= least_flights, output
@@ -90,7 +90,7 @@ def check_whole(folder, code, output, least_flights):
     assert len(faults) >= 2 * least_flights and all(fault["safe"] for fault in faults)
     assert sum(row["events"] for row in result["faults"]) == len(table.counted(faults))
     assert any(row["reactions"] for row in result["faults"])
-    # what was to happen did, in the order and with the vehicles of the script
+    # the faults were those of the script, in its order
     for flight in entries(folder, "judged"):
         events = load_faults(folder / "flights" / ("%04d" % flight["flight"]) / FAULTS)
         told = [fault["name"] for fault in faults if fault["flight"] == flight["flight"]]

@@ -147,7 +147,7 @@ def test_nothing_of_anybodys_computer_is_in_the_tree():
 
 
 MANIFESTS = sorted((ROOT / "src").rglob("package.xml"))
-# Folders of our Python packages, and of the ROS package that each is in; those of messages alone have no such folder.
+# Folders of our Python packages, and the ROS package that each is in; packages of messages only have none.
 MODULES = {init.parent.name: init.parent for path in MANIFESTS for init in path.parent.glob("*/*/__init__.py")}
 PACKAGE_OF = {path.parent.name: path.parent for path in MANIFESTS}
 PACKAGE_OF.update((module, place.parents[1]) for module, place in MODULES.items())

@@ -101,7 +101,7 @@ def test_wrong_use_ends_before_anything_is_done(tmp_path, words):
 
 @pytest.fixture
 def workspace(tmp_path):
-    """A workspace whose Python and pip only note what they are asked for, and fail."""
+    """A workspace whose Python and pip only log their arguments, and fail."""
     for name in ("maap", "requirements.txt", "apt-packages.txt"):
         shutil.copy(str(ROOT / name), str(tmp_path))
     for name in ("apt-packages-rviz.txt", "apt-packages-pdf.txt", "apt-packages-test.txt"):
@@ -117,7 +117,7 @@ def workspace(tmp_path):
 
 
 def first_asked(workspace, *options):
-    """What `maap test` asks of Python, which ends it: no test is run, nor is the workspace's Python compiled."""
+    """The first call of Python by `maap test`. It fails and ends that: no test is run, and no Python is compiled."""
     done = subprocess.run([str(workspace / "maap"), "test", *options], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
     (asked,) = (workspace / "asked").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""The benchmark of tracking, in small: its rows, which scripts rely on, what its options do, and the limit."""
+"""Short runs of the tracking benchmark: its rows, which scripts rely on, what its options do, and the limit."""
 
 import json
 from dataclasses import replace

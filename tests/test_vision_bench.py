@@ -38,7 +38,7 @@ def test_a_small_run_writes_everything_and_reaches_the_aims_of_accuracy(tmp_path
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
     assert done.returncode in (0, 1), done.stderr
     missed = done.stderr.partition(": ")[2].strip()
-    assert missed in ("", "ms_mean"), done.stderr  # how fast a loaded computer is is no matter of this test
+    assert missed in ("", "ms_mean"), done.stderr  # speed is not tested here: the computer may be busy
     total = figures["total"]
     assert figures["pictures"] == 40
     assert figures["simulated"] is True

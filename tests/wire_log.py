@@ -2,8 +2,8 @@
 
     python wire_log.py VEHICLE=CARD...         [time [s], vehicle, "REF", [bits]], [..., "PCMD", [flags, sticks...]]
 
-It reads the cards themselves (root only), beside and independent of the vehicle that listens there. It goes before
-everything else and wakes all the time: when it could not, the whole computer stood still, {"still_s": [from, to]}.
+It reads the network cards themselves (root only), independently of the vehicle that listens there. It runs with
+real-time priority and wakes all the time: when it could not, the whole computer stood still, {"still_s": [from, to]}.
 """
 
 import json
@@ -25,7 +25,7 @@ STILL_S = 0.03  # a longer time without waking is noted
 
 
 def go_first():
-    """Before everything else on this computer, whatever its niceness. Returns whether that is allowed."""
+    """Take precedence over everything else on this computer, whatever its niceness. Returns whether that is allowed."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except PermissionError:
@@ -34,7 +34,7 @@ def go_first():
 
 
 def ask_for_times(sock):
-    """The kernel shall note when a packet came in; we may be busy then."""
+    """Have the kernel note when a packet came in; this program may be busy then."""
     sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
 
@@ -55,7 +55,7 @@ def at_commands(packet):
 
 
 def main(arguments):
-    """Until somebody ends it."""
+    """Log until the process is ended."""
     cards = selectors.DefaultSelector()
     for argument in arguments:
         vehicle, _, card = argument.partition("=")
