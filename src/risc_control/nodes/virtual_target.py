@@ -49,9 +49,9 @@ class VirtualTargetNode(ReferenceNode):
         with self.wiring.lock:
             will = self._target.let_go(self.wiring.clock.now_s())
         rospy.loginfo(
-            "the target is let go as soon as the vehicle waits for it"
+            "the target starts as soon as the vehicle waits for it"
             if will
-            else "the target is not let go: it runs already, or the vehicle is not on its way to where it waits"
+            else "the target does not start: it moves already, or the vehicle is not on its way to its waiting position"
         )
 
 

@@ -684,7 +684,7 @@ def test_who_comes_who_pauses_and_who_talks_nonsense_is_said_once_and_then_count
     assert notices["complaints"] == {
         "pauses the stream of all clients": {names[1]: 3},
         "sends malformed packets": {names[1]: 3},
-        "asks what is not understood": {names[1]: 3},
+        "sends an unknown request": {names[1]: 3},
     }
     assert len(caplog.records) == 7, caplog.text
     assert any("ClientTest" in record.getMessage() and names[0] in record.getMessage() for record in caplog.records)

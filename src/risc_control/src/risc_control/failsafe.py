@@ -339,7 +339,7 @@ class SafetyLadder:
         if self.verdict.rule == Rule.FENCE:
             leaves = self._fence_again or now_s - self._left_s < _FENCE_CLEAR_S
         if leaves:
-            reason = "it could not stop inside the fence much later, at (%.2f, %.2f, %.2f) m" % tuple(self._position_m)
+            reason = "soon it could not stop inside the fence, at (%.2f, %.2f, %.2f) m" % tuple(self._position_m)
             if self.verdict.rule == Rule.FENCE and now_s - self._fence_since_s >= limits.fence_land_s:
                 return _LAND, Rule.FENCE, reason, None
             hold = (_HOLD, Rule.FENCE, reason, None) if hold is _FINE else hold

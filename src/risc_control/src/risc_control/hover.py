@@ -282,7 +282,7 @@ class Hover:
             if self._is_seen(now_s) and min(is_m + _NEARLY_M, place_m + _THERE_M) > self._top_m():
                 self._enter(Phase.HOLDING, now_s)
             elif lasts_s > UP_WITHIN_S:
-                orders.say("warn", "take-off given up: it is not up within %g s" % UP_WITHIN_S)
+                orders.say("warn", "take-off aborted: it has not lifted off within %g s" % UP_WITHIN_S)
                 self._enter(Phase.LANDING, now_s)
         elif self.phase is Phase.LANDING:
             self._look_for_the_floor(now_s)

@@ -382,7 +382,7 @@ class CortexHost(SocketHost):
         reply = self._reply_to_text(name, argument if equals else None, sender)
         if reply is None:
             self._counts["unrecognized_requests"] += 1
-            self._notices.complaint("asks what is not understood", sender, repr(text[:60]))
+            self._notices.complaint("sends an unknown request", sender, repr(text[:60]))
             self._reply_to(sender, wire.encode_packet(Command.UNRECOGNIZED_REQUEST))
         else:
             self._answer(sender, name, reply)

@@ -128,7 +128,7 @@ class TcpClients:
         greedy = greediest(self._addresses.values(), newcomer)
         if greedy is None:
             return False
-        self._notices.complaint("loses a connection: it has most of them, and others come", (greedy, 0))
+        self._notices.complaint("loses a connection: it holds the most, and there is no room for others", (greedy, 0))
         self.hang_up(next(sock for sock, address in self._addresses.items() if address == greedy))
         return True
 

@@ -308,7 +308,9 @@ class Soak:
         if problem:
             raise EndError(invariants.Violation("take-off", problem))
         if not wait_until(lambda: self._watch.failure is None, SIGN_S):
-            raise EndError(invariants.Violation("take-off", "the operator said that he flies again, and does not"))
+            raise EndError(
+                invariants.Violation("take-off", "the operator accepted another flight and did not start it")
+            )
 
     def _follow(self):
         """Follow the flight until the operator says that it is over."""
@@ -422,7 +424,7 @@ class Soak:
         if not self._launch.running():
             self._check(invariants.Violation("process", "a node that the graph needs has died (see roslaunch.log)"))
         if self._watch.operator_silent(fly.HUNG_S + fly.SILENT_S if self._programs.acting else fly.SILENT_S):
-            self._check(invariants.Violation("process", "the operator says nothing any more"))
+            self._check(invariants.Violation("process", "the operator has fallen silent"))
         while self._watch.crashes:
             crash = self._watch.crashes.popleft()
             self.record.add("crash", flight=self.number, vehicle=crash.vehicle, other=crash.other, reason=crash.reason)

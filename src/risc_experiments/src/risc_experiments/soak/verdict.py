@@ -74,7 +74,7 @@ def main(argv=None):
     """Judge the flight in a folder. Returns the exit code."""
     parser = argparse.ArgumentParser(prog="risc_experiments.soak.verdict", description=__doc__)
     parser.add_argument("folder", type=pathlib.Path)
-    parser.add_argument("--asked", type=int, default=0, help="so many faults were to happen")
+    parser.add_argument("--asked", type=int, default=0, help="number of faults that were planned")
     parser.add_argument("--failure", default="", help="why the flight as a whole failed")
     parser.add_argument("--cut-short", action="store_const", const=None, dest="failure", help="it was")
     args = parser.parse_args(argv)

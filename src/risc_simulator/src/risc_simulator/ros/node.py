@@ -80,7 +80,7 @@ def _event_of(request):
     if request.start_s < 0.0:
         raise ValueError("%s: a fault cannot begin in the past: %g s" % (request.fault, request.start_s))
     if fault_settings(request.fault).on_programs:
-        raise ValueError("%s happens to a program of a flight: start ./maap fly --fault with it" % request.fault)
+        raise ValueError("%s acts on a program of a flight: give it to ./maap fly --fault" % request.fault)
     (severity,), (duration_s,) = (request.severity or [None], request.duration_s or [None])
     return FaultEvent(request.fault, request.vehicle, severity, duration_s, request.start_s, request.channel)
 

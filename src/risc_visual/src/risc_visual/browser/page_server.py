@@ -76,7 +76,7 @@ def _guard_server(guests, strangers):
     finally:
         websockets.asyncio.server.serve = serve
     if not guarded:
-        raise RuntimeError("this release of viser serves in another way: install the one of requirements.txt")
+        raise RuntimeError("this release of viser serves pages differently: install the one in requirements.txt")
 
 
 def _guarded_connections(guests, strangers):

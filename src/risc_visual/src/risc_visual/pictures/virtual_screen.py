@@ -137,7 +137,7 @@ class VirtualScreen(contextlib.ExitStack):
             if steady and accept(picture):
                 return picture
             if now > deadline:
-                why = "shows nothing of what it should" if steady else "keeps changing"
+                why = "shows nothing that it should" if steady else "keeps changing"
                 tails = "\n".join(_tail(log) for _, _, log in self._programs)
                 raise ScreenError("the picture %s, after %g s:\n%s" % (why, timeout_s, tails))
             time.sleep(_POLL_S)
