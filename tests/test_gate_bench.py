@@ -15,8 +15,8 @@ from risc_lab.states import S
 
 # in this process: another would find the driver's sources before its messages, once a test here has imported them
 SMALL = ["--frames", "6000", "--injections", "8", "--outages", "24", "--seeds", "2", "--workers", "1"]
-TRUSTING = ["acceleration=1e-4", "climb_acceleration=1e-4", "disturbance=0", "tilt_command=1e-3"]  # of its own model
-IMMOBILE = ["acceleration_max_m_s2=0.1", "speed_max_m_s=0.1", "memory_s=1e6"]  # what it assumes of bodies
+TRUSTING = ["acceleration=1e-4", "climb_acceleration=1e-4", "disturbance=0", "tilt_command=1e-3"]  # trusts its model
+IMMOBILE = ["acceleration_max_m_s2=0.1", "speed_max_m_s=0.1", "memory_s=1e6"]  # assumes bodies at rest
 ALL = dict.fromkeys(bench.FAULT_OF, 1.0)
 
 

@@ -132,7 +132,7 @@ def which_of(told, command):
 def assert_not_moved(hosts, vehicle, begin_s, end_s):
     """Assert that no command reached it but "level, hold altitude" and those by which its own node brakes it.
 
-    begin_s: HANDLING_S after the last decision that may move it, without the time for which the computer stands still.
+    begin_s: HANDLING_S after the last decision that may move it; time in which the computer stood still is not counted.
     """
     told, stamps_s, _ = told_to(hosts, vehicle)
     brakes = told[np.isnan(stamps_s)]

@@ -185,7 +185,7 @@ def consistency(estimator, estimate, truth):
 
 
 def false_frame(kind, tape, seen, i, rng):
-    """(Observation, names concerned, position error [m] that is not false yet) of a false frame of vehicle i."""
+    """(Observation, names concerned, largest position error [m] that is not false) of a false frame of vehicle i."""
     names = (tape.names[i],)
     severity, allowed_m = fault_settings(FAULT_OF[kind]).default_severity, 0.5 * WRONG_M
     if kind == "exchange":

@@ -134,7 +134,7 @@ def rms(axis, K, delay_s, hold_s, frame_s):
     loop, scale = matrix_balance(Phi - np.outer(Gamma, K), permute=False)
     if not np.abs(np.linalg.eigvals(loop)).max() < 1.0:
         raise ValueError("the loop with this gain is not stable: %r" % (K,))
-    told = np.linalg.solve(scale, np.linalg.solve(scale, Phi @ P @ Phi.T + W - P).T)  # of what new frames add
+    told = np.linalg.solve(scale, np.linalg.solve(scale, Phi @ P @ Phi.T + W - P).T)  # covariance of what a frame adds
     known = scale @ solve_discrete_lyapunov(loop, told) @ scale.T  # covariance of the estimate
     c, d, w = _error(axis, hold_s)
     moved = c - np.outer(d, K)

@@ -4,7 +4,7 @@ Simulated, offline: three AR.Drones, every seed with another heading, whose plan
 the row says. The controller assumes a link delay of 0.1 s. `loops` are those of roll and pitch.
 
 With one change of 30 % of the attitude loops, of 50 ms, or of 10 % of mass or thrust, the RMSE of each vehicle of each
-seed may be 15 mm; with several together, 50 mm. Returns 1 when one is larger, or a flight does not come to its end.
+seed may be at most 15 mm; with several together, 50 mm. Returns 1 when one is larger, or a flight does not finish.
 """
 
 import argparse

@@ -314,7 +314,7 @@ void Client::handle_announcement(const Identity& identity) {
 }
 
 // Passes on every frame of the host, including late ones and duplicates (see frame_sequence.hpp). Only a poll
-// that returns the same frame as the previous one is ignored.
+// that returns the newest frame again is ignored.
 void Client::handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel) {
   if (channel == Channel::kStream) {
     last_stream_frame_ = clock_.monotonic();

@@ -2,7 +2,7 @@
 //
 // rosbag::Bag is unusable once the disk was full: half a message stays in the chunk, closing fails too, and
 // its destructor throws, which ends the process. Here a chunk grows in memory and is written whole or not at
-// all, so whatever the bag holds can be indexed and read. This also takes one system call per chunk, where
+// all, so what the bag holds can always be indexed and read. This also takes one system call per chunk, where
 // rosbag::Bag takes several per message.
 
 #pragma once

@@ -56,7 +56,7 @@ from risc_msgs.msg import (
 )
 
 T0_S = 1000.0
-EVERY = 4  # only each fourth frame of the 200 Hz: the page says the same, and is made four times as fast
+EVERY = 4  # one of this many frames of the 200 Hz: the page says the same, and is made four times as fast
 NAN = float("nan")
 NAMES = ("fluffy_II", "albatross")
 SECTIONS = (
@@ -123,8 +123,8 @@ def circle(t_s, index):
 
 
 def full_rows(every=1):
-    """20 s of two vehicles with everything that a cooperative experiment in the virtual lab records. every: only each
-    frame of this number (a divisor of 20), for tests in which the rate does not matter.
+    """20 s of two vehicles with everything that a cooperative experiment in the virtual lab records. every: keep
+    one of this many frames (a divisor of 20), for tests in which the rate does not matter.
     """
     bridge = CvBridge()
     picture = bridge.cv2_to_compressed_imgmsg(np.full((90, 160, 3), 90, np.uint8), "jpg")

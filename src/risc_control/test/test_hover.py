@@ -217,7 +217,7 @@ def test_states_lost_level_and_then_land_mode(autonomous):
 
 
 def drift_of_a_landing_that_is_seen_again_m():
-    """Drift [m] of a landing, away from the take-off place, during which motion capture fails and comes back."""
+    """Drift [m] of a landing from where it is seen again. Motion capture failed in flight, off the take-off place."""
     desk = flown(more=1.0)
     desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=-0.05)
     desk.run(1.5)

@@ -453,7 +453,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         (tmp_path / "bin" / program).write_text("#!/bin/sh\n%s\n" % body)
         (tmp_path / "bin" / program).chmod(0o755)
     special = {1: ["AuthorizedKeysFile none"], 2: ["SetEnv PATH=%s:/usr/bin:/bin" % (tmp_path / "bin")]}
-    # the third machine is root like all, but with its `id` and `sudo` it misses the file and is another user
+    # the third machine is root like all, but its `id` and `sudo` say that it is not, and it finds no file
     settings = tmp_path / "sshd_config.d"
     before = "mount --bind %s /etc/ssh/sshd_config.d" % settings
     server = Server(tmp_path / "server", 3, special, before, ["Include /etc/ssh/sshd_config.d/*.conf"])

@@ -377,7 +377,7 @@ def test_sequence_rules(fake_lab):
 
 
 def test_stale_commands_do_not_feed_the_watchdog(fake_lab):
-    """A client that restarts with a number above 1 is obeyed only after the link counts as lost."""
+    """A client that restarts with a low number above 1 is obeyed only after the link counts as lost."""
     lab = fake_lab()
     lab.client.sequence = 5000
     lab.run(0.1, pcmd=(1, 0.0, 0.0, 0.1, 0.0))

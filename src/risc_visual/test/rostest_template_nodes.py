@@ -103,7 +103,7 @@ class TemplateNodesTest(unittest.TestCase):
         cls.log = Results("/rosout", Log)
         cls.encoding = "bgr8"
         cls.last_x = 0  # how far to the right the newest picture is shifted
-        cls.tick, cls.every = 0, 1  # ticks of the timer; a picture is sent at each of this number of ticks
+        cls.tick, cls.every = 0, 1  # ticks of the timer; a picture is sent at one of this many
         cls.timer = rospy.Timer(rospy.Duration(1.0 / RATE_HZ), cls.send)
         cls.step = 0
 

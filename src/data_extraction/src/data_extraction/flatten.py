@@ -29,8 +29,8 @@ class Flattener:
     def __call__(self, message):
         """(columns: tuple of str, values: list of the same length), in the order of the message's fields.
 
-        message: an object as the rosbags library deserialises it (a dataclass). For messages of
-        the same shape the columns are worked out once and are the same tuple object.
+        message: an object as the rosbags library deserialises it (a dataclass). For messages of the same shape the
+        columns are worked out once and are the same tuple object.
         """
         values, key = [], []
         _add_values(message, "", values, key)

@@ -172,7 +172,7 @@ class Recorder:
             self.add(topic, receipt_s, message, seconds(message.header.stamp) if topic in _FIELDS else None)
 
     def add(self, topic, receipt_s, message, stamp_s=None):
-        """Take a message of any topic in TOPICS; of SENT one command at a time, stamped with when it was sent.
+        """Take a message of any topic in TOPICS; of SENT one command at a time, with its sending time as stamp.
 
         stamp_s: of its header, when it has one; 0 = it is not stamped.
         """

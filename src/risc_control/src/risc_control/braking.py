@@ -31,11 +31,11 @@ from risc_lab.frames import GRAVITY_M_S2
 
 TILT_RAD = math.radians(20.0)
 STOPPED_M_S = 0.05  # slower than this it holds its place, or is left to hold it by itself,
-_MEANWHILE_M_S = 0.1  # by which it brakes, too: that would add to the braking of a velocity above this
+_MEANWHILE_M_S = 0.1  # which brakes it, too: if it is faster than this meanwhile, that would add to our braking
 _TILT_RAD_S = 6.0  # greatest rate of a command
 _BANDWIDTH = 1.5  # of the feedback, relative to that of the attitude loop
 _CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of a velocity error that one report corrects; larger errors are ignored
-_LOOPS_S = 0.6  # the attitude loops have forgotten earlier commands
+_LOOPS_S = 0.6  # older commands no longer affect the attitude loops
 _WINDOW_S = 0.5  # the model is advanced for good when it is behind by more than this
 _LEARN_S, _LEARNS_S, _PUSH_M_S2 = 0.2, 1.5, 0.8  # learning the external acceleration: interval, time constant, limit
 _TILT_S, _OFFSET_S = 0.25, 2.0  # longest gap between tilt reports; time constant of their offset while it is seen
@@ -70,7 +70,7 @@ class Braking:
         self._still_s = self._counted_s = -math.inf  # since when both are steady; until when that was counted
         self._waits = False  # the newest report has not been compared yet, while it is not seen
         self._offset_rad, self._offset_s = (0.0, 0.0), 0.0  # reported tilt - model's, while it is seen; over how long
-        self._shift_rad = (0.0, 0.0)  # by which the tilt has come to differ from the model's since then
+        self._shift_rad = (0.0, 0.0)  # by which the tilt has come to differ from the model's since it was seen
         self._motion, self._at_s = _STANDING, -math.inf
         self._plant = None  # None: it is not braked
         if not brakes:
@@ -187,7 +187,7 @@ class Braking:
         self._push_m_s2 = _nearer(self._push_m_s2, believed_m_s2, -math.expm1(-lasts_s / _LEARNS_S))
 
     def _compare(self):
-        """Compare the reported tilt with the model's; the difference has acted since both are steady."""
+        """Compare the reported tilt with the model's; the difference counts from when both became steady."""
         if self._tilt_s <= self._at_s or self._offset_s < _OFFSET_S:
             return
         self._go_on(self._tilt_s)
@@ -284,7 +284,7 @@ def _changed(motion, north_m, east_m, north_m_s, east_m_s):
 
 @compiled
 def _feedback(motion, gains, sent, now_s):
-    """(roll, pitch, speed, speed): the command, the speed of `motion`, and the speed if it was levelled instead."""
+    """(roll, pitch, speed, speed): the command, the speed of `motion`, and its speed once level if levelled instead."""
     cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
     forward_m_s = cosine * motion.north_m_s + sine * motion.east_m_s
     right_m_s = cosine * motion.east_m_s - sine * motion.north_m_s

@@ -1,6 +1,6 @@
 """The fence: whether a vehicle can still stop in the room inside the net. No ROS.
 
-Its centre must stay `fence_margin_m` from the net, and farther by what it reaches farther than an AR.Drone.
+Its centre must stay `fence_margin_m` from the net; that of a type larger than an AR.Drone, farther by the difference.
 Towards each side of that room, at the outward speed v and acceleration a, its stopping distance is
 
     d = v t + a p (t - p/2) + (v + a p)^2 / (2 b)

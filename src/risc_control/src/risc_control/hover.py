@@ -38,7 +38,7 @@ SLOW_DESCENT_M_S, SLOW_BELOW_M = 0.2, 0.3  # the last part of a landing
 HAND_M_S = 0.6  # speed of the place at full stick
 LEAST_HEIGHT_M = 0.3  # an operator's sticks bring it no lower: landing is a button
 ARMED_WITHIN_S, UP_WITHIN_S = 6.0, 10.0
-WIRE_S = 0.5  # nothing heard of the transmitter for this long: it may not send our commands
+WIRE_S = 0.5  # no report of the transmitter's board for this long: it may not send our commands
 STANDS_S = 0.3  # it does not sink although it should, for this long: it stands, or
 STUCK_S = 1.5  # for this long away from the floor: its thrust is not ours
 DISARM_AGAIN_S = 0.5
@@ -80,7 +80,7 @@ class Hover:
         self._own, self._own_s = None, -math.inf  # newest state that was seen, or the model's since
         self._braking = braking
         self._floor_m = None  # height at which it was seen to stand
-        self._wire_s = -math.inf  # when its transmitter last reported that it sends our commands
+        self._wire_s = -math.inf  # when the transmitter's board last reported that it sends our commands
         self._since_s = self._disarm_s = -math.inf  # start of the phase; when disarming was ordered
         self._still_s = None  # since when it does not sink although it should
         self._sinks_s = -math.inf  # when it sank last
@@ -129,7 +129,7 @@ class Hover:
             self._enter(Phase.LANDING if self.reported == FlightState.LANDING else Phase.HOLDING, now_s)
 
     def on_wire(self, now_s):
-        """Its transmitter reports that it sends our commands."""
+        """The board of its transmitter reports that it sends our commands."""
         self._wire_s = now_s
 
     def on_state(self, own, measured_s):
@@ -229,7 +229,7 @@ class Hover:
         return _STATES[phase]
 
     def trouble(self, now_s):
-        """What is wrong with the transmitter of our commands, in a few words; "" when nothing is."""
+        """What is wrong with the board that transmits our commands, in a few words; "" when nothing is."""
         silent_s = now_s - self._wire_s
         if silent_s <= WIRE_S:
             return ""
@@ -282,7 +282,7 @@ class Hover:
             if self._is_seen(now_s) and min(is_m + _NEARLY_M, place_m + _THERE_M) > self._top_m():
                 self._enter(Phase.HOLDING, now_s)
             elif lasts_s > UP_WITHIN_S:
-                orders.say("warn", "take-off aborted: it has not lifted off within %g s" % UP_WITHIN_S)
+                orders.say("warn", "take-off aborted: it has not reached its height within %g s" % UP_WITHIN_S)
                 self._enter(Phase.LANDING, now_s)
         elif self.phase is Phase.LANDING:
             self._look_for_the_floor(now_s)

@@ -27,7 +27,7 @@ class Facts(NamedTuple):
     controls_limit_s: float
     markers: tuple  # numbers of markers (used for its pose, required, of its template); None: not reported
     nearest: tuple  # `Separation.nearest`: (distance [m], name) of the nearest vehicle; None: none is seen
-    apart_m: float  # least distance
+    apart_m: float  # least distance for a take-off
 
 
 def refusals(facts):

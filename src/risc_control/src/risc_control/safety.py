@@ -59,7 +59,7 @@ class SafetyLimits(Settings):
     controls_land_s: Positive = 0.5  # [s] ... LAND, likewise
     saturated_land_s: NotNegative = 1.5  # [s] full tilt or thrust for half of it: HOLD, for all of it: LAND; 0 = off
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
-    # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
+    # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that send on change only
     joystick_timeout: NotNegative = 1.0
     operator_after_s: NotNegative = 2.0  # [s] LAND without effect: the operator must use the emergency stop
     clock_tolerance_s: NotNegative = 0.1  # [s] a stamp that far in the future means that clocks differ
@@ -75,7 +75,7 @@ class SafetyLimits(Settings):
     fence_land_s: Positive = 1.5  # [s] ... one that is still unable after this time, or that is held again: LAND
     # Distances between the centres of vehicles in the air, see `separation`. They are for two AR.Drones: larger types
     # are kept farther apart by as much as the two reach farther (`radius_m` of the types), e.g. two IRIS+ by 0.30 m.
-    separation_m: NotNegative = 0.55  # [m] nearer: HOLD, then LAND; hulls are as wide, courses keep 0.63 m; 0 = off
+    separation_m: NotNegative = 0.55  # [m] nearer: HOLD, then LAND; the width of a hull, courses keep 0.63 m; 0 = off
     separation_stray_m: NotNegative = 1.0  # [m] ... from one that has left its course, is not seen, or holds itself
     separation_course_m: NotNegative = 0.5  # [m] farther than this from its reference a vehicle has left its course
     separation_lookahead_s: NotNegative = 1.2  # [s] ... now or within this time, in which an AR.Drone stops;

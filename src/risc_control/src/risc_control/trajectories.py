@@ -317,8 +317,8 @@ def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
     AR.Drones fly one figure in any case.
 
     wider_m: by how much the two widest of the fleet reach farther than two AR.Drones (`widest_pair_m`). If a course has
-    a parameter for the distance of its vehicles, it is larger by that unless it is in options. Up to FEW_VEHICLES, some
-    of them wider, fly one figure; ValueError if it brings them so near that they would hold.
+    a parameter for the distance of its vehicles, it is enlarged accordingly unless it is in options. Up to
+    FEW_VEHICLES, some of them wider, fly one figure; ValueError if it brings them so near that they would hold.
     """
     safe_m = SAFE_SEPARATION_M + wider_m
     if vehicles <= FEW_VEHICLES:

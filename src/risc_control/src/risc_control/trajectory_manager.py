@@ -193,7 +193,7 @@ class TrajectoryManager:
     def accept(self, task, plan, now_s):
         """Fly a plan. Returns False, and does not fly it, when the task has changed or the plan comes too late.
 
-        There is a new `task` then, if any vehicle is left to plan.
+        Afterwards `task` is the next one, or None if no vehicle is left to plan.
         """
         if task is not self.task:
             return False

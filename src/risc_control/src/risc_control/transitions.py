@@ -38,7 +38,7 @@ _WORTH_M = 0.02  # this much more distance is worth a later arrival
 _TRIES = 3  # changes of options that are tried: for each vehicle,
 _MORE_TRIES = 40  # and for all together
 _FRACTIONS = np.linspace(0.0, 1.0, 32)  # of a way, where its speed is sampled
-_LITTLE_MORE = 1.1  # of the peaks of its course are always allowed on a way
+_LITTLE_MORE = 1.1  # times the peaks of its course: a way may reach this in any case
 _DURATION_STEP = 1.15  # ratio of the durations that are tried
 
 _COURSE_STARTS = 12  # candidate moments of the course at which the vehicles set out for it

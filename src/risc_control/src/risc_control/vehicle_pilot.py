@@ -260,7 +260,7 @@ class VehiclePilot:
         return orders
 
     def on_wire(self, now_s):
-        """The transmitter of a vehicle that does not fly itself reports that it sends our commands."""
+        """The board of the transmitter of a vehicle that does not fly itself reports that it sends our commands."""
         self._hover.on_wire(now_s)
 
     def on_refusal(self, why, now_s):

@@ -76,7 +76,7 @@ def read_clock():
 
 
 def parse_tracking(text):
-    """ClockState of the output of `chronyc -c tracking`, None when there is none (the daemon does not run)."""
+    """ClockState of the output of `chronyc -c tracking`, None when it has none (the daemon does not run)."""
     row = next(csv.reader(text.splitlines()), [])
     try:
         offset_s, delay_s, dispersion_s = -float(row[4]), float(row[10]), float(row[11])  # chronyc's + is slow

@@ -39,7 +39,7 @@ class Interface:
 
 
 def read_interfaces():
-    """All network cards of this computer, as a list of `Interface`. A bridge counts as connected without containers."""
+    """All network cards of this computer, as a list of `Interface`. A bridge is always connected."""
     cards, found = psutil.net_if_stats(), []
     for name, entries in psutil.net_if_addrs().items():
         card = name.partition(":")[0]  # eth0:1 is a second address of eth0

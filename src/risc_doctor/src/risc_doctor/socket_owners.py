@@ -71,7 +71,7 @@ def users_of_device(path):
 
 
 def drivers():
-    """Processes of vehicle drivers on this computer, not in containers with other networks, and other vehicles."""
+    """`Process`es of vehicle drivers on this computer, without those in containers that have networks of their own."""
     found, network = [], os.readlink("/proc/self/ns/net")
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):  # it ended while we looked

@@ -71,7 +71,7 @@ def driven_addresses():
 
 
 def _driven_addresses(process):
-    """Addresses that a driver flies, from its command line or its master; None when not known."""
+    """Addresses that a driver flies, from its command line or its master; [None] when not known."""
     if "-ip" in process.words[:-1]:
         return [process.words[process.words.index("-ip") + 1]]
     uri = process.environment.get("ROS_MASTER_URI")

@@ -16,7 +16,7 @@ from risc_lab.lab.calibration import CameraCalibration
 # Optical axes (x right, y down, z along the axis) of vectors in camera axes (x along the axis, y right, z down).
 _CAMERA_TO_OPTICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 _RECENT_IMAGES = 16  # for which a message may still come on the other topic
-_EXACT_LASTS_NS = 1_000_000_000  # regions are ignored for this long after exact detections; then a bag may have none
+_EXACT_LASTS_NS = 1_000_000_000  # regions are ignored this long after exact detections; a later bag may have only them
 _ROUND_TRIP_PX = 0.1  # a pixel whose bearing projects back farther off lies where the lens model folds
 
 

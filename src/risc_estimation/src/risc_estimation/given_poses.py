@@ -33,7 +33,7 @@ class GivenPoses:
         self.rotation, self._covariances = np.zeros((0, 3, 3)), np.zeros((0, 6, 6))
         self._has_attitude = np.zeros(0, dtype=bool)  # not of an attached body
         self._plan = None  # names of the newest frame, our rows that are in it, their rows in it
-        _fill_angles(self.rotation, self.flags[0], self.measured[1])  # loads what is compiled
+        _fill_angles(self.rotation, self.flags[0], self.measured[1])  # loads the compiled code
 
     @property
     def present(self):

@@ -22,7 +22,7 @@ import math
 from risc_lab.compiled import compiled, record
 
 _MEMORY_S = 0.015  # three frames at 200 Hz: an acceleration puts the prediction off by 0.4 mm for each m/s^2
-STEADY_RAD = 0.02  # 1 sigma of an attitude; a less accurate one gets less weight in the track
+STEADY_RAD = 0.02  # 1 sigma of an attitude; a worse one gets less weight in the track, see also `body_fit`
 _GROW_S = 0.05  # as in risc_control.plausibility
 _REMEMBERED = 10.0  # times memory_s: for this long a replaced track may come back
 TRACK, CANDIDATE, FORMER = range(3)  # of each body

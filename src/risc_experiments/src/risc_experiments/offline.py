@@ -234,7 +234,7 @@ class RunningFlight:
     def _set_up_vehicles(self, fleet, vehicle_types):
         """Vehicle nodes, links and what the nodes know of each other; all vehicles hover where they start."""
         flight, names, noise = self._flight, self._names, float(self._flight.noise)
-        exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one at rest is seen at exactly one place
+        exact = {} if flight.noise else {"state_least_step_m": 0.0}  # without noise, one at rest does not move
         params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **exact, **flight.node})
         self._separation = Separation(names, params, names, wider_m(fleet.vehicles))
         self._plausibility = Plausibility(dict(zip(names, vehicle_types)), params)

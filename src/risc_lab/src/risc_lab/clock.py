@@ -32,8 +32,8 @@ class ClockGuard:
     each a step ahead of the one before, mean that a clock was set or a bag restarted: the last of them is accepted, and
     those that follow it. Until then stamps of the old clock are still accepted.
 
-    Stamps that a delay explains do not count as such, however many: each is up to `LATE_S` old and fills a gap between
-    the stamps seen. A clock that was set back repeats times of which stamps were seen.
+    Stamps that a delay explains do not count towards a new clock, however many: each is up to `LATE_S` old and fills a
+    gap between the stamps seen. A clock that was set back repeats times of which stamps were seen.
     """
 
     def __init__(self, longest_step_s=10.0):

@@ -47,7 +47,7 @@ class CommandHistory:
     def __init__(self, vehicles, rows=ROWS):
         """vehicles: how many. rows: how many commands of each are kept."""
         self.vehicles = np.zeros(vehicles, history_of(rows))
-        if vehicles:  # loads what is compiled
+        if vehicles:  # loads the compiled code
             self.append(0, 0.0, np.zeros(CHANNELS))
             self.at(0, 0.0)
         self.clear()

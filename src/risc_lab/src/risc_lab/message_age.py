@@ -22,7 +22,7 @@ class MessageAges:
     def corrected(self, age_s, now_s):
         """Least possible age [s] of a message when it arrived.
 
-        age_s: its arrival by our clock less its stamp by the sender's [s]. now_s: of our clock that never steps.
+        age_s: its arrival by our clock less its stamp by the sender's [s]. now_s: of our monotonic clock.
         """
         if now_s - self._period_s >= self._memory_s:
             self._period_s, self._before_s, self._least_s = now_s, self._least_s, 0.0

@@ -272,7 +272,7 @@ class VehicleHost(SocketHost):
     def __init__(self, vehicle, wires=None):
         super().__init__(vehicle.namespace, wires)
         self._vehicle = vehicle
-        self.told, self.told_s = Told.NOTHING, -math.inf  # newest order that the type can tell; since when
+        self.told, self.told_s = Told.NOTHING, -math.inf  # newest order that the type can distinguish; since when
 
     def note_told(self, told, now_s):
         """Note the order that the vehicle receives now."""

@@ -259,7 +259,7 @@ class VirtualLab:
             self._late_since_s = None
 
     def _forgive(self, due_s):
-        """Return lab time. After a suspension, first set the clock back to due_s or the last service, the later."""
+        """Return lab time. After a suspension, first set the clock back to due_s or the last service (the later)."""
         now_s = self.now_s()
         slept_s = now_s - max(due_s, self._served_s)  # never before the time that the hosts have seen
         if slept_s > MAX_CATCH_UP_S:

@@ -86,7 +86,7 @@ class Wires:
         self.due_s = self._late[0][0]
 
     def statistics(self):
-        """{channel: {"sent", "delivered", "later"}}: data that passed acting faults; for streams also "cut"."""
+        """{channel: {"sent", "delivered", "later"}}: data that met acting faults; for streams also "cut"."""
         return {channel: dict(wire.counts) for channel, wire in self._wires.items() if wire.counts}
 
     def _meant(self, channel):

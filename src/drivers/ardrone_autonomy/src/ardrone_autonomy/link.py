@@ -382,7 +382,7 @@ class DroneLink:
         self._ground()
 
     def _hurry(self, now_s):
-        """Bring the next tick forward to now, but at least MIN_SPACING_S after the last datagram."""
+        """Bring the next tick forward to now, but no earlier than MIN_SPACING_S after the last datagram."""
         if self._next_tick_s != _NEVER_S:
             self._next_tick_s = min(self._next_tick_s, max(now_s, self._last_tick_s + MIN_SPACING_S))
             self.due_s = min(self.due_s, self._next_tick_s)
@@ -471,7 +471,7 @@ class DroneLink:
             self._write_retry_s = now_s + CLEAR_PERIOD_S
             return
         if self._write_tries > 1 and self.phase is Phase.CONFIGURING:
-            # A vehicle that still counts on from a previous client accepts only number 1, which was lost
+            # A vehicle that still counts on from a previous client ignores our numbers except 1, which was lost
             self._numbers = itertools.count(1)
         self._send_command(
             at.encode("CONFIG_IDS", next(self._numbers), self._session_id, USER_ID, APPLICATION_ID)

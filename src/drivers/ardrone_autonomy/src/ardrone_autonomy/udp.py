@@ -39,7 +39,7 @@ class UdpThread:
 
     address: IPv4 address of the vehicle, which has the standard ports.
     report: function (level, text).
-    on_packet: called in the thread with every new Packet; must be short.
+    on_packet: called in the thread with each Packet that is the newest so far; must be short.
     on_failure: called in the thread with the exception that ended it, after the last orders (hover and land).
     note: called in the thread with (time, DroneLink) after every iteration of its loop; must be short.
     link_options: further arguments of DroneLink.

@@ -130,7 +130,7 @@ class Link:
             facts, decoder = self.facts, self._decoder
             decoder.longest_bytes = self._longest_bytes
             if self._is_lost:
-                # accept only packets as long as the expected answer: noise like the head of a long one must not hide it
+                # accept no packet longer than those of the expected answer: noise like the head of one must not hide it
                 decoder.longest_bytes = max(size for size, _ in self._answers.values())
             damaged, stray = decoder.damaged, decoder.stray_bytes
             packets = decoder.feed(data, now_s)

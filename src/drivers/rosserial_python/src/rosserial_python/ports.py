@@ -245,7 +245,7 @@ class AcceptedPort:
         self.name, self.baud, self._line = name, baud, line
 
     def open(self):
-        """Return the Line at the first call; then raise OSError."""
+        """Return the Line at the first call; raise OSError at later ones."""
         line, self._line = self._line, None
         if line is None:
             raise OSError(errno.ENODEV, "the device has closed its connection")

@@ -52,10 +52,10 @@ class Params(Settings):
     integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
     integral_min_height_m: Positive = 0.3  # no integration lower than this, and nothing is learnt below half of it
     angle_noise_rad: Positive = 0.015  # of a measured roll or pitch, for the observer; see `disturbance_observer`
-    tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] unmodelled motion of the attitude loop
+    tilt_disturbance_rad_s2: Positive = 0.5  # [rad/s^2/sqrt(Hz)] unmodelled acceleration of the attitude loop
     level_rad_s: NotNegative = 0.006  # [rad/s/sqrt(Hz)] how the level changes; 0: it is not learnt
     height_noise_m: Positive = 0.005  # of a measured height
-    climb_disturbance_m_s2: Positive = 0.15  # [m/s^2/sqrt(Hz)] unmodelled motion of the climb loop
+    climb_disturbance_m_s2: Positive = 0.15  # [m/s^2/sqrt(Hz)] unmodelled acceleration of the climb loop
     climb_level_m_s2: NotNegative = 0.02  # [m/s^2/sqrt(Hz)] how the climb rate's zero changes; 0: it is not learnt
     gain_spread: NotNegative = 0.2  # of angles and climb rates over commanded ones; 0: it is not learnt
     lag_spread_s: NotNegative = 0.05  # of how late they follow; 0: it is not learnt
@@ -192,7 +192,7 @@ def _step(
             continue
         now, before = under_way[LAG_STEPS], under_way[0]
         observe(seen, stamp_s, tilt, way, now, before, x[i, S.PSI], plant, tables[kind], unknown)
-        if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; higher up, estimates are kept
+        if not x[i, S.Z] > 0.5 * limit.integral_min_height_m:  # it may stand; low flight above that forgets nothing
             forget(seen, unknown)
             seen.north.push_m_s2 = seen.east.push_m_s2 = 0.0
         for k in range(len(under_way) - 1, LAG_STEPS - 1, -1):

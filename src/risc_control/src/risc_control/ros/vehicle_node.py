@@ -51,7 +51,7 @@ _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
-_VEHICLE_STATUS_S = 0.2  # interval of vehicle_status while the state does not change
+_VEHICLE_STATUS_S = 0.2  # least interval of vehicle_status while the state does not change
 _REFERENCES_HZ = 20.0  # how often references are read
 SILENCE_S = 0.5  # a controller or a driver that was silent for longer may be another one, with other full scales;
 _GONE_S = 5.0  # after this silence its full scales are forgotten
@@ -405,7 +405,7 @@ class _Vehicle:
 
     @_contained
     def on_markers(self, used, known):
-        """Number of markers that the estimator's pose of it is from, and of those in its template."""
+        """Take the number of markers that the estimator's pose of it is from, and the number in its template."""
         with self._lock:
             self.pilot.on_markers(used, known)
 

@@ -114,7 +114,7 @@ class Adapter:
     COMMANDS = "commands"  # topic below its namespace for the commands to it
     TOLD = {}  # {topic below its namespace: Told}
     NODES = {}  # {role: node of its driver}, by which injected faults find it: `driver` takes the commands
-    SILENT_S = 0.0  # longest normal gap between its reports; the least that `SafetyLimits.navdata_timeout_s` counts as
+    SILENT_S = 0.0  # longest normal gap between reports; a shorter `SafetyLimits.navdata_timeout_s` is raised to it
     NEEDS_BATTERY = False  # whether T on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # greatest |T| on /controls
 
@@ -204,7 +204,7 @@ class Adapter:
 
     @staticmethod
     def listen_to_wire(prefix, on_wire, subscribe):
-        """Call on_wire() for each report of the transmitter that it passes our commands on to the vehicle."""
+        """Call on_wire() for each report of the transmitter's board that it sends our commands to the vehicle."""
         raise NotImplementedError
 
     def tell_battery(self, battery_pct, now_s):

@@ -296,7 +296,7 @@ class Link:
         self._command = rospy.ServiceProxy(prefix + "apm/command", APMCommand)
         self._arm = rospy.ServiceProxy(prefix + "apm/arm", Order)  # its error gives the reason of a refusal
         self._call = Calls(ANSWER_S)
-        self._wanted = queue.Queue(1)  # of functions: services wait for the vehicle, so only their thread may
+        self._wanted = queue.Queue(1)  # of functions, for a thread of their own: services wait for the vehicle
         threading.Thread(target=self._work, daemon=True).start()
         self.topic = self._controls.resolved_name  # of the commands
 

@@ -26,7 +26,7 @@ _NOT_SENT = (
     "/logs", "/flights", "/fuzz_findings", "/.maap.lock", "/%s" % workspace_digest.DEPLOYED, "/%s" % _BACKUPS,
     ".rsync-partial", "__pycache__/*", "*.pyc", "*~", ".pytest_cache", ".ruff_cache", ".hypothesis",
 )  # fmt: skip
-# Here, a file that this computer no longer has is removed there, too (into the backup); elsewhere nothing is removed.
+# In these, a file that this computer no longer has is removed there, too (into the backup); nothing else is removed.
 _MIRRORED = "/src", "/launch", "/devel", "/install", "/.venv"
 # A process of this workspace that roslaunch started; [_] so that the pattern does not find itself
 _RUNNING = "pgrep -f -a -- %s"

@@ -111,7 +111,7 @@ class EstimateMessages:
     def __init__(self):
         self._states = CortexArrays(())
         nobody = np.empty((0, len(S))), np.empty(0, dtype=bool)
-        _fill_states(*nobody, self._states.states, self._states.visible)  # loads what is compiled
+        _fill_states(*nobody, self._states.states, self._states.visible)  # loads the compiled code
         self._landmarks = LandmarksArrays(())
 
     def states(self, header, estimate):

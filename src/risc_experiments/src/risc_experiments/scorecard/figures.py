@@ -89,7 +89,7 @@ def share_bounds(hits, of):
     if of == 0:
         return None
     if hits in (0, of):
-        chance = (1.0 - CONFIDENCE) ** (1.0 / of)  # of a trial: `of` in a row are 5 % likely; for many: 1 - 3 / of
+        chance = (1.0 - CONFIDENCE) ** (1.0 / of)  # with which `of` hits in a row are 5 % likely; about 1 - 3 / of
         return [0.0, 1.0 - chance] if hits == 0 else [chance, 1.0]
     return list(map(float, stats.binomtest(hits, of).proportion_ci(CONFIDENCE, "exact")))
 

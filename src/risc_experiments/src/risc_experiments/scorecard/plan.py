@@ -15,7 +15,7 @@ from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults
 
-NONE, RANDOM = "none", "random"  # faults that are not members: nothing happens; one of all members at random
+NONE, RANDOM = "none", "random"  # not members: no fault; random members that can end safely
 GRADES = ("mild", "medium", "severe")
 WHOLE = "-"  # severity of what has no grades
 _ENOUGH_MIN = 0.01

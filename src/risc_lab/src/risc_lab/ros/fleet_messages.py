@@ -101,7 +101,7 @@ class FleetMessage(genpy.Message):
         cls.Raw = type(cls.__name__ + "Raw", (_Raw,), dict(kind, __slots__=()))
         cls._beside_bytes = np.dtype(cls._beside).itemsize if cls._beside else 0
         wire = io.BytesIO()
-        cls(()).serialize(wire)  # loads what is compiled, now
+        cls(()).serialize(wire)  # loads the compiled code, now
         cls(()).deserialize(wire.getvalue())
 
     def __init__(self, entries=None):

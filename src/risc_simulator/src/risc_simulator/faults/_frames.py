@@ -48,7 +48,7 @@ def pose(markers_m, body_m):
 
 
 def overwrite(share, rng, bodies, axis, value_m):
-    """act that sets one coordinate of a random share of the bodies' markers, in Observations or packed frames."""
+    """act that sets a coordinate of the bodies' markers, each with probability `share`; of Observations or packets."""
 
     def act(seen, now_s):
         if isinstance(seen, Observation):

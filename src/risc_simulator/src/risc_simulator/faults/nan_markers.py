@@ -1,4 +1,4 @@
-"""A random share of the body's markers, new ones in each frame, has NaN as y. Severity: that share."""
+"""This share of the body's markers, drawn anew in each frame, has NaN as y."""
 
 import math
 

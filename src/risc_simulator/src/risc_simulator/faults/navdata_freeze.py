@@ -1,4 +1,4 @@
-"""A vehicle repeats its last status reports, with new sequence numbers and valid checksums."""
+"""A vehicle repeats the status reports of when the fault began, with new sequence numbers and valid checksums."""
 
 import contextlib
 

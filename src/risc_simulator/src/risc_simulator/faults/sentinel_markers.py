@@ -1,4 +1,4 @@
-"""A random share of the body's markers, new ones in each frame, has the x of Cortex' missing markers; y, z stay."""
+"""This share of the body's markers, drawn anew in each frame, has the x of Cortex' missing markers; y, z stay."""
 
 from risc_simulator.faults._frames import MISSING_M, overwrite
 

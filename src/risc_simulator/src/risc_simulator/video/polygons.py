@@ -15,7 +15,7 @@ def clip_polygons(points, counts, planes):
     planes: (k, 4) normal and offset; inside is normal . point + offset >= 0.
     Returns (points, counts): polygons with nothing left have count 0. A line's ends are the first two of its points.
     """
-    room = 2 ** len(planes)  # a plane adds half as many corners at most
+    room = 2 ** len(planes)  # a plane adds at most half as many corners again
     cut = np.empty((2, room * (counts.max() if len(counts) else 0), 3))
     result, new_counts = np.empty((room * len(points), 3)), np.zeros_like(counts)
     first = total = 0

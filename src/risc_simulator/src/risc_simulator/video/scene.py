@@ -305,7 +305,7 @@ class ImagingParams(Settings):
 
 @dataclass(frozen=True)
 class Style(Settings):
-    """Content of config/scene.yaml: the looks of what the cameras see, without the places of landmarks and vehicles."""
+    """Content of config/scene.yaml: the appearance of what cameras see, not the places of landmarks and vehicles."""
 
     paints: dict[str, Hsv]  # of landmarks
     disc_backs: Hsv  # landmarks from behind

@@ -42,7 +42,7 @@ class BrowserPanel:
     """The panel of the page: the button that lands all, those that land one, and the status."""
 
     def __init__(self, server, names, land_all, land_one):
-        """names: of the vehicles; land_all(), land_one(name): called in a thread of its own when a button is hit."""
+        """names: of the vehicles; land_all(), land_one(name): called in a thread of its own by a button."""
         gui = server.gui
         gui.set_panel_label("RISC MAAP")
         gui.main_panel.dock_right()
@@ -75,7 +75,7 @@ class LiveStatus:
         self._asked = time_of_day, dict.fromkeys(names, ("small", "asked"))
 
     def note_answer(self, name, done, text):
-        """What a vehicle answered to that."""
+        """Note the answer of a vehicle, or of the operator, to the request to land."""
         self._asked[1][name] = ("good" if done else "bad", text)
 
     def forget(self):

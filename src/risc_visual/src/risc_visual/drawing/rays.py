@@ -84,7 +84,7 @@ class Whereabouts:
 
 
 class Shown:
-    """Markers that were not renewed for a lifetime: rviz drops them, but not its status messages about them.
+    """Finds markers that were not renewed for a lifetime: rviz drops them, but not its status messages about them.
 
     Times are seconds of the clock by which rviz lets markers expire.
     """

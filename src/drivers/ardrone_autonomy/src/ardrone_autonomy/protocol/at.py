@@ -126,5 +126,7 @@ def ref(sequence, start=False, select=False):
 
 
 def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0):
-    """Encode PCMD_MAG. Sticks in [-1, 1]: roll + right, pitch + nose up (backward), gaz + up, yaw + clockwise."""
+    """Encode PCMD_MAG. Sticks in [-1, 1]: roll + right, pitch + nose up (backward), gaz + up, yaw + clockwise from
+    above.
+    """
     return encode("PCMD_MAG", sequence, flags, roll, pitch, gaz, yaw, 0.0, 0.0)

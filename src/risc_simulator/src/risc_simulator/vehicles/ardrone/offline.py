@@ -12,7 +12,7 @@ from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
 
 
 class OfflineLink(offline_link.OfflineLink):
-    """See models/offline_link.py. Without commands the aircraft obeys the last one on, then hovers, then lands."""
+    """See models/offline_link.py. Without new commands the aircraft keeps to the last one, then hovers, then lands."""
 
     _alarm_s = math.inf  # when it acts on the silence of its driver
 

@@ -41,7 +41,7 @@ class Flow(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One set of readings, in body axes unless `levelled` is said."""
+    """One set of readings, in body axes unless marked as levelled."""
 
     roll_deg: float
     pitch_deg: float

@@ -129,7 +129,7 @@ class IrisFirmware(Firmware):
         self._override_s = -math.inf
         self._low_frames = 0
         self._gesture, self._gesture_s = 0, time_s  # yaw to this side since then
-        self._grounded_s = time_s  # start of the time on the ground after which it disarms
+        self._grounded_s = time_s  # when the time on the ground began after which it disarms
         self._hold_m = None  # height that is held; None: none
 
     def configure(self, record):

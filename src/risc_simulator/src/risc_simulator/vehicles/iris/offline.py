@@ -79,7 +79,7 @@ class OfflineLink:
 
     @property
     def phase(self):
-        """FlightPhase as its driver knows it: FLYING while armed, until it lands."""
+        """FlightPhase as its driver knows it: FLYING from arming on, also while it still stands on the ground."""
         phase, logic = self.vehicle.phase, self.vehicle.firmware
         return FlightPhase.FLYING if phase is FlightPhase.LANDED and logic.armed else phase
 
