@@ -85,6 +85,24 @@ def thread(lab):
     thread.stop()
 
 
+HOVER, FORWARD_LEFT, COUNTER_CLOCKWISE = (
+    sticks_from_velocity(linear, angular)
+    for linear, angular in (((0, 0, 0), (0, 0, 0)), ((0.2, 0.2, 0), (0, 0, 0)), ((0, 0, 0), (0, 0, 0.2)))
+)
+
+
+def fly_until(thread, sticks, condition):
+    """Fly with these sticks; as a pilot would, take off again when the computer stood still and the driver landed."""
+
+    def fly():
+        if not thread.link.keeps_flying:
+            thread.post(thread.link.take_off)
+        thread.post(thread.link.steer, sticks)
+        return condition()
+
+    wait_for(fly)
+
+
 def test_what_another_client_left_in_the_vehicle_is_overwritten(lab):
     host = lab.vehicle_hosts["risc1"]
     for key, text in (("control:outdoor", "TRUE"), ("control:altitude_max", "100000")):
@@ -113,19 +131,17 @@ def test_flight_emergency_and_lost_link(lab, ignored, thread):
     # They delete profiles that do not exist. A set, because a driver that stalled writes them again.
     assert ignored == {("custom:profile_id", "-" + USER_ID), ("custom:application_id", "-" + APPLICATION_ID)}
 
-    thread.post(thread.link.take_off)
-    wait_for(lambda: vehicle.phase is FlightPhase.HOVERING)
+    def hovers():
+        return vehicle.phase is FlightPhase.HOVERING
 
-    # forward, and to the left: +x and +y of the room for a vehicle that looks along x
-    start_m = vehicle.state.position_m
-    thread.post(thread.link.steer, sticks_from_velocity((0.2, 0.2, 0.0), (0.0, 0.0, 0.0)))
-    wait_for(lambda: vehicle.state.position_m[0] > start_m[0] + 0.1 and vehicle.state.position_m[1] > start_m[1] + 0.1)
+    fly_until(thread, HOVER, hovers)
+    # +x and +y of the room for a vehicle that looks along x
+    x_m, y_m, _ = vehicle.state.position_m
+    fly_until(thread, FORWARD_LEFT, lambda: min(vehicle.state.position_m[:2] - (x_m, y_m)) > 0.1)
     # a counter-clockwise turn decreases psi
     psi = vehicle.state.psi
-    thread.post(thread.link.steer, sticks_from_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.2)))
-    wait_for(lambda: vehicle.state.psi < psi - 0.2)
-    thread.post(thread.link.steer, sticks_from_velocity((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    wait_for(lambda: vehicle.phase is FlightPhase.HOVERING)
+    fly_until(thread, COUNTER_CLOCKWISE, lambda: vehicle.state.psi < psi - 0.2)
+    fly_until(thread, HOVER, hovers)
 
     # a lost link: the vehicle lands by itself, and is ready for another flight afterwards
     lab.inject(parse_fault("link_blackhole:3,risc1"))
@@ -133,8 +149,7 @@ def test_flight_emergency_and_lost_link(lab, ignored, thread):
     wait_for(lambda: thread.link.phase is Phase.READY)
     wait_for(lambda: vehicle.phase is FlightPhase.LANDED)
     assert host.get("control:euler_angle_max") == pytest.approx(0.3)
-    thread.post(thread.link.take_off)
-    wait_for(lambda: vehicle.phase is FlightPhase.HOVERING)
+    fly_until(thread, HOVER, hovers)
 
     # reset in the air stops the motors, on the ground it clears the emergency
     thread.post(thread.link.reset)
@@ -144,8 +159,7 @@ def test_flight_emergency_and_lost_link(lab, ignored, thread):
     thread.post(thread.link.reset)
     wait_for(lambda: not thread.link.emergency)
     wait_for(lambda: vehicle.phase is FlightPhase.LANDED)
-    thread.post(thread.link.take_off)
-    wait_for(lambda: vehicle.phase is FlightPhase.HOVERING)
+    fly_until(thread, HOVER, hovers)
     thread.post(thread.link.land)
     wait_for(lambda: vehicle.phase is FlightPhase.LANDED)
     assert host.statistics()["at_malformed"] == host.statistics()["at_unknown"] == 0
