@@ -11,6 +11,7 @@ import time
 
 from ardrone_autonomy.protocol import AT_PORT, NAVDATA_PORT, at, navdata
 from ardrone_autonomy.protocol.navdata import ControlState, State, Tag
+from risc_lab.testing import wait_for
 from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
 from risc_simulator.vehicles.ardrone.wire import NavdataEncoder, SequenceGate, parse_datagram
 
@@ -31,6 +32,18 @@ def free_address():
                 continue
             return address
     raise OSError("no loopback address with a free UDP port %d" % AT_PORT)
+
+
+def fly_until(thread, sticks, condition):
+    """Fly with these sticks; as a pilot would, take off again when the computer stood still and the driver landed."""
+
+    def fly():
+        if not thread.link.keeps_flying:
+            thread.post(thread.link.take_off)
+        thread.post(thread.link.steer, sticks)
+        return condition()
+
+    wait_for(fly)
 
 
 class ScriptedDrone:

@@ -5,23 +5,17 @@ import threading
 import time
 
 import pytest
-from scripted_drone import ScriptedDrone
+from scripted_drone import ScriptedDrone, fly_until
 
 from ardrone_autonomy.link import Phase
 from ardrone_autonomy.piloting import HOVER, Sticks
 from ardrone_autonomy.protocol.navdata import ControlState
 from ardrone_autonomy.settings import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread, resolve
+from risc_lab.testing import wait_for
 
 SESSION = "0badcafe"
 FORWARD = Sticks(1, 0.0, -0.5, 0.0, 0.0)
-
-
-def wait_for(condition, limit_s=15.0):
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited %g s" % limit_s
-        time.sleep(0.002)
 
 
 def make_thread(address, **arguments):
@@ -55,10 +49,8 @@ def thread(drone):
 
 def fly(drone, thread):
     wait_for(lambda: thread.link.phase is Phase.READY)
-    thread.post(thread.link.take_off)
-    wait_for(lambda: drone.phase is ControlState.HOVERING)
-    thread.post(thread.link.steer, FORWARD)
-    wait_for(lambda: drone.phase is ControlState.FLYING)
+    fly_until(thread, HOVER, lambda: drone.phase is ControlState.HOVERING)
+    fly_until(thread, FORWARD, lambda: drone.phase is ControlState.FLYING)
 
 
 def test_flight(drone, thread):

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("risc_simulator.virtual_lab", reason="the virtual lab is not in this workspace")
 
-from scripted_drone import free_address
+from scripted_drone import fly_until, free_address
 
 from ardrone_autonomy.link import Phase
 from ardrone_autonomy.piloting import sticks_from_velocity
@@ -89,18 +89,6 @@ HOVER, FORWARD_LEFT, COUNTER_CLOCKWISE = (
     sticks_from_velocity(linear, angular)
     for linear, angular in (((0, 0, 0), (0, 0, 0)), ((0.2, 0.2, 0), (0, 0, 0)), ((0, 0, 0), (0, 0, 0.2)))
 )
-
-
-def fly_until(thread, sticks, condition):
-    """Fly with these sticks; as a pilot would, take off again when the computer stood still and the driver landed."""
-
-    def fly():
-        if not thread.link.keeps_flying:
-            thread.post(thread.link.take_off)
-        thread.post(thread.link.steer, sticks)
-        return condition()
-
-    wait_for(fly)
 
 
 def test_what_another_client_left_in_the_vehicle_is_overwritten(lab):
