@@ -18,6 +18,7 @@ import psutil
 
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import PortReservation, free_tcp_port
+from risc_lab.testing import wait_for
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FLEET = ROOT / "launch/fleets/ardrones3.yaml"
@@ -51,14 +52,6 @@ def program(*command, environment=None):
     finally:
         process.terminate()
         process.wait()
-
-
-def wait_for(condition, what):
-    deadline_s = time.monotonic() + 120.0
-    while not condition():
-        if time.monotonic() > deadline_s:
-            raise RuntimeError("waited in vain for " + what)
-        time.sleep(0.1)
 
 
 def processor_s(process):

@@ -26,6 +26,7 @@ import genpy
 import numpy as np
 import rospy
 
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import PpmStatus
 from risc_msgs.msg import Control, Controls
 from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver
@@ -45,7 +46,6 @@ COMMANDS = STEPS**3  # that differ in roll, pitch and yaw: a frame tells which c
 SHORT_S, LONG_S, LONGEST_S = (0.002, 0.06), (0.1, 2.0), (3.0, 6.0)
 UNPLUGGED_S = (0.05, 2.0)
 WARM_UP = 20  # messages that do not count
-PATIENCE_S = 60.0
 REQUIRED_BACK_S, REQUIRED_NOTICED_S = 0.1, 0.3  # limits: of the 99th percentile; of the worst
 
 
@@ -342,14 +342,6 @@ def graph(*nodes):
         rospy.init_node("serial_line_bench", disable_signals=True)
         yield
         rospy.signal_shutdown("done")
-
-
-def wait_for(condition, what):
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            raise RuntimeError("waited %g s for %s" % (PATIENCE_S, what))
-        time.sleep(STEP_S)
 
 
 def through_the_node(messages, board):

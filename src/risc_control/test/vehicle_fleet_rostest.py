@@ -24,10 +24,10 @@ from vehicle_world import (
     is_zero,
     same,
     twist_of,
-    wait_for,
 )
 
 from risc_control.safety import SafetyLimits
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import Safety
 from risc_msgs.msg import Controls
 from roscopter.msg import State

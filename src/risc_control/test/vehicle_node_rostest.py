@@ -33,10 +33,10 @@ from vehicle_world import (
     is_zero,
     same,
     twist_of,
-    wait_for,
 )
 
 from risc_control.ros.vehicle_node import SILENCE_S, VehicleNode
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import Safety, VehicleNodeStatus, VehicleStatus
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}

@@ -14,6 +14,7 @@ from ardrone_autonomy.msg import Navdata
 from risc_control.vehicles import adapter_class
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.ros.testing import publishers_heard
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import CommandsSent, Safety, VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
@@ -44,10 +45,6 @@ def within(condition, seconds):
             return False
         time.sleep(0.005)
     return True
-
-
-def wait_for(condition, what):
-    assert within(condition, TIMEOUT_S), "not within %g s: %s" % (TIMEOUT_S, what)
 
 
 class World:

@@ -2,7 +2,6 @@
 
 import contextlib
 import threading
-import time
 
 import msgspec
 import viser
@@ -105,11 +104,3 @@ class PageClient:
             self._buttons = {label: other for label, other in self._buttons.items() if other != uuid}
         elif "name" in message and "props" in message:
             self.nodes[message["name"]] = self.made[message["name"]] = kind
-
-
-def wait_for(condition, what, patience_s=60.0):
-    """Wait until the condition holds. what: a text for the error, or a function that returns it."""
-    deadline = time.monotonic() + patience_s
-    while not condition():
-        assert time.monotonic() < deadline, "never came: %s" % (what() if callable(what) else what)
-        time.sleep(0.02)

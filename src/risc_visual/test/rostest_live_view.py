@@ -17,12 +17,13 @@ import rospy
 import rostest
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
-from page_client import PageClient, wait_for
+from page_client import PageClient
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
 from risc_lab.ros.launching import free_tcp_port
+from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import (
     ControllerReport,
     EstimatorStatus,

@@ -10,12 +10,13 @@ import urllib.request
 
 import pytest
 import viser
-from page_client import PageClient, wait_for
+from page_client import PageClient
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from risc_lab.ros.launching import free_tcp_port
 from risc_lab.strangers import Guests, Strangers
+from risc_lab.testing import wait_for
 from risc_visual.browser import page_server
 from risc_visual.browser.live_status import BrowserPanel
 from risc_visual.browser.page_server import is_page_of_others, open_server

@@ -14,16 +14,10 @@ from ardrone_autonomy.protocol import VIDEO_PORT
 from ardrone_autonomy.protocol.video import Codec, FrameType, parse_header
 from ardrone_autonomy.video_clock import LEAST_STEP_S
 from ardrone_autonomy.video_stream import VideoStream
+from risc_lab.testing import wait_for
 from risc_simulator.video.stream_writer import StreamWriter
 
 LIMIT_S = 20.0
-
-
-def wait_for(condition, limit_s=LIMIT_S):
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited %g s" % limit_s
-        time.sleep(0.002)
 
 
 @pytest.fixture(autouse=True)

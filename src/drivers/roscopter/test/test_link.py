@@ -14,6 +14,7 @@ import scripted_autopilot
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from scripted_autopilot import Running
 
+from risc_lab.testing import wait_for
 from roscopter import orders
 from roscopter.link import Link
 from roscopter.options import Options
@@ -22,13 +23,6 @@ from roscopter.transport import open_device
 LIMIT_S = 30.0
 HOST = "127.0.0.1"
 STICKS = [1500] * 8
-
-
-def wait_for(condition, what):
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited %g s for %s" % (LIMIT_S, what)
-        time.sleep(0.01)
 
 
 class Driver:
