@@ -90,7 +90,24 @@ def test_pictures_arrive_one_by_one(address, patient, header_bytes):
     assert viewer.reports == [("info", "video from %s:%d" % (address, VIDEO_PORT))]
 
 
-def test_a_picture_was_received_when_it_came_not_when_a_busy_thread_read_it(address):
+@pytest.fixture
+def stamped():
+    """The kernel stamps what arrives; it begins to do so some time after the first socket has asked for it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, video_stream._SO_TIMESTAMPNS, 1)
+        probe.bind(("127.0.0.1", 0))
+
+        def is_stamped_on_arrival():
+            probe.sendto(b"", probe.getsockname())
+            time.sleep(0.02)
+            _, extras, _, _ = probe.recvmsg(1, socket.CMSG_SPACE(video_stream._TIMESPEC.size))
+            return video_stream._age_s(extras) > 0.01
+
+        wait_for(is_stamped_on_arrival)
+        yield
+
+
+def test_a_picture_was_received_when_it_came_not_when_a_busy_thread_read_it(address, stamped):
     is_busy, has_come = threading.Event(), threading.Event()
     pictures = []
 

@@ -185,14 +185,17 @@ for line in sys.stdin:
 
 @pytest.fixture
 def pilot(lab):
-    """Function that starts a driver and returns its process once the vehicle exceeds 0.4 m/s, still accelerating."""
+    """Function that starts a driver and returns its process once the vehicle exceeds 0.4 m/s, still accelerating.
+
+    A driver orders to land, too, when the computer stood still: so a speed without the order to fly does not count.
+    """
     started = []
 
     def start(kept=True):
         words = [sys.executable, "-c", PILOT, lab.fleet.vehicles[0].address, str(kept)]
         process = subprocess.Popen(words, stdin=subprocess.PIPE, text=True)
         started.append(process)
-        vehicle = lab.world.vehicles["risc1"]
+        vehicle, host = lab.world.vehicles["risc1"], lab.vehicle_hosts["risc1"]
 
         def take_off():
             process.stdin.write("take off\n")
@@ -202,7 +205,7 @@ def pilot(lab):
         wait_for(take_off)
         process.stdin.write("steer\n")
         process.stdin.flush()
-        wait_for(lambda: speed_m_s(lab) > 0.4)
+        wait_for(lambda: speed_m_s(lab) > 0.4 and host.told is Told.FLY)
         return process
 
     yield start
