@@ -51,7 +51,7 @@ OWN_FAILSAFES = {  # of the aircraft, and the values that switch them off
     "iris.offline.FAILSAFE_S": math.inf,
     "iris.firmware.CRITICAL_BATTERY_PCT": -1.0,
 }
-# faults that the states estimator corrects
+# faults that the state estimator corrects
 MENDED = (("marker_swap:3", ("ardrone",)), ("name_exchange:3", ("ardrone", "ardrone")))
 # faults of connections, answers and programs, which offline flights do not have
 NOT_OFFLINE = {"cut", "wrong_reply", "node_kill", "node_stop"}

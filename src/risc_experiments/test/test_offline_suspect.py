@@ -1,6 +1,6 @@
 """False poses from motion capture, whole flights offline: a vehicle holds and lands; without a ladder it hits the net.
 
-The states estimator refuses most of these poses; where the vehicle nodes are tested, it is made to accept them. True
+The state estimator refuses most of these poses; where the vehicle nodes are tested, it is made to accept them. True
 poses are never suspected.
 """
 
