@@ -31,7 +31,7 @@ printf '[containers]\ncgroups = "disabled"\ndefault_ulimits = ["nofile=4096:4096
 printf '[engine]\ncgroup_manager = "cgroupfs"\nevents_logger = "file"\n' >>"$CONTAINERS_CONF"
 printf '[network]\nnetwork_backend = "netavark"\nnetwork_config_dir = "%s/networks"\n' "$folder" >>"$CONTAINERS_CONF"
 
-# apart [--net] COMMAND...: mounts, and with --net networks, that nobody else sees, and that end with the command
+# apart [--net] COMMAND...: mounts, and with --net networks, that no other process sees, and that end with the command
 apart() {
   local spaces=(--mount)
   if [ "$1" = --net ]; then

@@ -30,7 +30,7 @@ mounts='mount -t proc proc /proc && mount -t tmpfs tmpfs /dev/shm'
 mounts+=' && mkdir -p /dev/pts && mount -t devpts -o newinstance,ptmxmode=0666 devpts /dev/pts && ln -sf pts/ptmx /dev/ptmx'
 for command in "$@"; do
   printf '== %s\n' "$command"
-  # its own process namespace: whatever the command leaves behind ends with it
+  # its own process namespace: all that the command leaves behind ends with it
   env -i HOME=/root TERM="${TERM:-dumb}" PATH=/usr/sbin:/usr/bin:/sbin:/bin PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
     unshare --pid --fork --kill-child --mount chroot "$folder" bash -c \
     "$mounts && cd /risc_maap && $command"

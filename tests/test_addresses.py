@@ -39,7 +39,7 @@ AIRCRAFT = "192.168.1.1"  # every AR.Drone's own, in its own Wi-Fi
 ALLOWED = {
     # the program that is an AR.Drone's driver, started by hand without an address
     ("src/drivers/ardrone_autonomy/src/ardrone_autonomy/protocol/__init__.py", AIRCRAFT),
-    # these do not load before somebody has written an address: COPIED_FIRST
+    # these do not load before the user has written an address: COPIED_FIRST
     ("launch/fleets/lab3.yaml", AIRCRAFT),
     ("launch/legacy/fleets/lab.yaml", AIRCRAFT),
     # bound to, to receive broadcasts; a netmask; sent to only on request: --host broadcast

@@ -244,7 +244,7 @@ cd "$1/root"
 mount -t proc proc proc
 mount --rbind /dev dev
 mount -t tmpfs tmpfs tmp
-# the workspace may be below /tmp, in a file system of its own (the overlay has only that of /), or in somebody's home
+# the workspace may be below /tmp, in a file system of its own (the overlay has only that of /), or in a user's home
 mkdir -p "$1/root$2"
 cd "$2"
 mount -t overlay overlay -o "lowerdir=.,upperdir=$1/upper2,workdir=$1/work2" "$1/root$2"

@@ -38,11 +38,11 @@ GRAPH_HZ = 50.0  # of motion capture; the test only asks whether the nodes run
 
 @contextlib.contextmanager
 def reserved_fleet():
-    """A fleet at addresses and with a stream port that nobody else uses."""
+    """A fleet at addresses and with a stream port that no other process uses."""
     reservation = PortReservation()
     try:
         fleet = load_fleet(ROOT / "launch" / "fleets" / "ardrones3.yaml").in_subnet(reservation.subnet)
-        port = free_tcp_port()  # needed for UDP, but Linux gives a reserved TCP port to nobody else either
+        port = free_tcp_port()  # needed for UDP, but Linux gives a reserved TCP port to no other process either
         yield dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, stream_port=port))
     finally:
         reservation.close()

@@ -426,7 +426,7 @@ def test_a_second_launch_never_starts_beside_a_first(station):
     assert errors.count("\n") == 1 and REFUSED in errors and first.uri in errors
     assert log.read_text().split() == ["started"], "the first goes on"
     first.end()
-    assert guards_of(first.uri), "nobody has told the first"
+    assert guards_of(first.uri), "the first was not told"
     third = station(before=[first.uri])
     third.start()
     assert third.beside == {}

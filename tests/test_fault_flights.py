@@ -57,7 +57,7 @@ def test_a_flight_goes_on_after_short_faults_and_without_a_master_and_a_long_bla
     assert short["start_s"] == pytest.approx(2.0, abs=1.0) and short["end_s"] - short["start_s"] == pytest.approx(0.3)
     assert short["flying"] == 2 and hold_in_time(short, tmp_path, summary), short
     assert (master["name"], master["args"], master["outcome"]) == ("node_kill", "master", "completed"), output
-    assert master["start_s"] == pytest.approx(4.0, abs=1.0) and not master["reactions_ms"], "nobody needs it in flight"
+    assert master["start_s"] == pytest.approx(4.0, abs=1.0) and not master["reactions_ms"], "not needed in flight"
     assert (hang["args"], hang["outcome"]) == ("controller,0.2", "completed"), output
     assert hang["end_s"] - hang["start_s"] == pytest.approx(0.2, abs=0.05)
     assert hold_in_time(hang, tmp_path, summary), hang

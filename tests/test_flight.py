@@ -231,7 +231,7 @@ def test_what_a_killed_flight_leaves_is_landed_and_ended(pair):
 
 @pytest.mark.release
 def test_a_flight_whose_command_is_killed_leaves_nothing(tmp_path):
-    """roslaunch gets a signal when its parent dies. The virtual lab ends with the nodes, so nobody sees them land."""
+    """roslaunch gets a signal when its parent dies. The virtual lab ends with the nodes, so nothing sees them land."""
     process = start(tmp_path, "--vehicles", "1", "--duration", "120")
     try:
         wait_for_line(process, tmp_path, "on course for")

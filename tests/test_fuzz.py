@@ -180,8 +180,8 @@ class Navdata(Parser):
         commands, malformed = parse_datagram(data)
         check(commands and not malformed, "an order that is none", data)
         for name, _, arguments in commands:
-            check(name != "REF" or not arguments[0] & 0x200, "a take-off that nobody ordered", data)
-            check(name != "PCMD_MAG" or not any(arguments[1:]), "sticks that nobody moved", data)
+            check(name != "REF" or not arguments[0] & 0x200, "a take-off that was not ordered", data)
+            check(name != "PCMD_MAG" or not any(arguments[1:]), "sticks that were not moved", data)
 
     class _Believing:
         size = 8
@@ -277,8 +277,8 @@ class Mavlink(Parser):
     def _on_written(self, data):
         for message in FrameReader().feed(data, 0.0):
             kind = message.get_type()
-            check(kind in ("HEARTBEAT", "REQUEST_DATA_STREAM", "COMMAND_LONG"), "what nobody ordered", data)
-            check(kind != "COMMAND_LONG" or message.command == 511, "an order that nobody gave", data)
+            check(kind in ("HEARTBEAT", "REQUEST_DATA_STREAM", "COMMAND_LONG"), "what was not ordered", data)
+            check(kind != "COMMAND_LONG" or message.command == 511, "an order that was not given", data)
 
     _meets = Autopilot._meets
     sabotage = (Autopilot, "_meets", lambda self, heartbeat: Mavlink._meets(self, heartbeat) or True)

@@ -18,7 +18,7 @@ from risc_maap_msgs.msg import PpmStatus, Safety, VehiclePhase
 pytestmark = pytest.mark.alone
 RMSE_LIMIT_M = 0.008  # the requirement; docs/performance.md measures what is reached
 ACCIDENT_M = 0.05  # a gate for a fleet of which the requirement says nothing
-PILOT_S = 4.0  # until it is noticed that somebody else flies: the sticks may equal ours at first
+PILOT_S = 4.0  # until it is noticed that the pilot flies: the sticks may equal ours at first
 GONE_S = 60.0  # longer than the rest of the flight
 LATE_S = 0.3  # what a busy computer may add to the limits of the ladder
 
@@ -133,7 +133,7 @@ def test_its_pilot_takes_over_and_gives_it_back(tmp_path):
     noticed_s = next(receipt_s for receipt_s, state in told if state == FlightState.PILOT) - begin_s
     print("noticed after %.2f s" % noticed_s)
     assert 0.0 < noticed_s < PILOT_S and told[-1][1] == FlightState.LANDED, output
-    assert modes == {"STABILIZE"}, "nobody has taken it from its pilot"
+    assert modes == {"STABILIZE"}, "it was not taken from its pilot"
     lab = json.loads((folder / "virtual_lab.json").read_text())
     assert (lab["vehicles"]["iris1"]["phase"], lab["crashes"]) == ("landed", [])
 

@@ -168,7 +168,7 @@ def state_ages(hosts, vehicle):
     for command in hosts.commands(vehicle):
         if moves(command) and command.time_s < end_s:
             which = which_of(told, command)
-            assert which is not None, "nobody has ordered what moved %s at %.3f s" % (vehicle, command.time_s)
+            assert which is not None, "no order explains what moved %s at %.3f s" % (vehicle, command.time_s)
             if not math.isnan(stamps_s[which]):
                 still_s = hosts.still_s(stamps_s[which] + LIMITS.state_hold_s, command.time_s)
                 ages.append((command.time_s, command.time_s - stamps_s[which] - still_s, which not in seen))

@@ -92,7 +92,7 @@ def test_hosts_are_computers_of_their_own_and_ssh_leads_from_each_to_each(lab):
             assert answer.split() == [there, "pilot", str(lab.home(there))]
     assert lab.run("north", ["ssh", "south", "echo $WHERE"]).stdout.strip() == "below"
     entries = lab.run("north", ["cat", "/etc/shadow"], as_root=True).stdout.splitlines()
-    assert [entry.split(":")[:2] for entry in entries] == [["pilot", "*"], ["root", "*"]], "nobody's password"
+    assert [entry.split(":")[:2] for entry in entries] == [["pilot", "*"], ["root", "*"]], "no user has a password"
 
 
 def test_a_pulled_cable_and_a_deaf_switch_are_silent_and_come_back(lab):

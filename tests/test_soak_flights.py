@@ -126,7 +126,7 @@ def test_programs_that_are_killed_come_back_and_the_fleet_flies_on(tmp_path):
     for sample in entries(folder, "sample"):
         for name in sample["processes"]:
             pids.setdefault(name, set()).add(sample["processes"][name]["pid"])
-    assert any(len(found) > 1 for found in pids.values()), "somebody came in the place of one that was killed"
+    assert any(len(found) > 1 for found in pids.values()), "a program came in the place of one that was killed"
     assert len(result_of(folder)["flights"]) >= 2
 
 

@@ -203,7 +203,7 @@ class ControllerNodeTest(unittest.TestCase):
                 tell()
                 return answers and len(answers[-1].Obj) == len(NAMES)
 
-            wait_for(answered, "a command for one without a reference, where nobody looks at its age")
+            wait_for(answered, "a command for one without a reference, whose age is not checked")
 
     def test_old_states_are_not_flown_on(self):
         self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))

@@ -55,7 +55,7 @@ class LagCompensatorTest(unittest.TestCase):
         np.testing.assert_allclose((other.x, other.y, other.z, other.v, other.psi), (0.5, -0.5, 1.0, 1.0, 120.0))
 
     def test_states_that_are_too_old_show_nobody(self):
-        answer = self.answer(lambda m: not m.Obj[0].visible, "nobody is visible", age_s=1.0)
+        answer = self.answer(lambda m: not m.Obj[0].visible, "no vehicle is visible", age_s=1.0)
         self.assertFalse(answer.Obj[1].visible)
 
     def test_a_message_says_which_node_sent_it(self):

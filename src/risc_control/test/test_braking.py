@@ -117,7 +117,7 @@ def test_a_state_that_is_new_counts_at_once():
     assert braking.command(10.3).pitch_rad > 0.1, "nose up against what it does"
     braking.see(still, 10.4)
     assert braking.command(10.5).stopped
-    assert braking.command(14.0) is None, "nobody has asked for so long"
+    assert braking.command(14.0) is None, "it was not asked for so long"
 
 
 def test_a_delay_that_nobody_can_predict():

@@ -307,7 +307,7 @@ def test_commands_that_change_nothing_are_noticed():
     desk = Desk().up()
     desk.run(2.0)
     desk.alive.discard("radio")
-    desk.iris.step = lambda now_s: None  # somebody else holds it there
+    desk.iris.step = lambda now_s: None  # its pilot holds it there
     desk.iris.velocity_m_s = [0.0] * 3
     desk.press(TAKEOFF_LAND)
     desk.run(5.0)
@@ -342,7 +342,7 @@ def test_another_mode_ends_autonomous_flight_and_it_goes_on_from_where_it_is(mod
     desk.run(1.0)
     desk.iris.mode = mode
     desk.wait_for(state, 0.5)
-    desk.iris.position_m[0] += 1.0  # somebody else flies it there
+    desk.iris.position_m[0] += 1.0  # its pilot flies it there
     desk.iris.mode = "STABILIZE"
     desk.wait_for(FlightState.HOVERING, 0.5)
     x_m = desk.iris.position_m[0]

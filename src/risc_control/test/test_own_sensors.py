@@ -109,5 +109,5 @@ def test_without_states_and_telemetry_it_is_commanded_until_it_is_down():
     desk.fly = level_at(1.6)
     desk.run(4.0)
     desk.alive -= {"state", "telemetry"}
-    assert desk.run(8.0, lambda: desk.iris.stands) and desk.iris.mode == "STABILIZE", "it is nobody else's landing"
+    assert desk.run(8.0, lambda: desk.iris.stands) and desk.iris.mode == "STABILIZE", "the autopilot does not land it"
     assert desk.iris.impact_m_s < 0.6

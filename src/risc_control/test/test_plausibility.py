@@ -91,7 +91,7 @@ def test_what_cannot_be_is_suspect(lie, doubt, words):
     if doubt is Doubt.FROZEN:
         fleet.look()  # the first is a measurement
     for believed in fleet.run(0.1):
-        assert believed.tolist() == [False, True], "from the first look on, and of nobody else"
+        assert believed.tolist() == [False, True], "from the first look on, and of no other vehicle"
     assert fleet.judge.doubt("v0") is doubt and words in fleet.judge.reason("v0")
     assert fleet.judge.doubt("v1") is Doubt.NONE and fleet.judge.reason("v1") == ""
     # the control arm
@@ -139,7 +139,7 @@ def test_a_false_place_is_not_believed_before_the_vehicle_has_landed(lie):
     fleet.lie = lie
     looks = [believed[0] for believed in fleet.run(15.0)]
     assert looks.index(True) * LOOK_S == pytest.approx(LIMITS.separation_forget_s, abs=0.1)
-    assert all(looks[looks.index(True) :]), "or nobody could fly it any more"
+    assert all(looks[looks.index(True) :]), "or it could not be flown any more"
 
 
 @pytest.mark.parametrize(("step_m", "believed"), [(1.5, False), (0.2, True)])

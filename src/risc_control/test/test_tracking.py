@@ -189,7 +189,7 @@ def test_integral_grows_only_in_flight_and_starts_afresh():
     assert integral() <= controller.params.integral_max_m_s + 1e-9
     assert grown != first
     left_after(0.1, False, begin_s=70.0)
-    assert integral() == 0.0, "somebody else flew it"
+    assert integral() == 0.0, "it was not autonomous"
 
 
 def test_integral_rests_while_the_command_is_cut():

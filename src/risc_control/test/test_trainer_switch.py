@@ -89,7 +89,7 @@ def test_what_is_as_ours_within_what_transmitters_do_is_ours():
 def test_nothing_is_said_before_both_have_agreed(sent, received):
     told = Told()
     assert not told.run(20.0, sent, received) and told.changes == []
-    assert len(told.switch._sent) < 20, "what nobody answers is not kept for ever"
+    assert len(told.switch._sent) < 20, "what is not answered is not kept for ever"
 
 
 def test_a_short_difference_is_none():

@@ -300,7 +300,7 @@ def test_until_their_ways_begin_they_go_on_as_before():
     manager.go_home(40.0)
     before = manager.course.at(40.4 - manager._epoch_s)
     assert manager.sample(40.4).derivatives[..., :3] == pytest.approx(before[..., :3])
-    assert manager.sample(70.0).phases == (Phase.COURSE,) * 3, "nobody has planned"
+    assert manager.sample(70.0).phases == (Phase.COURSE,) * 3, "nothing was planned"
 
 
 def test_sampling_never_waits_for_the_planner():

@@ -29,7 +29,7 @@ def test_a_task_that_cannot_be_planned_is_told_and_the_next_one_is_planned(monke
 
     def rest(seconds):
         rests.append(seconds)
-        manager.task = "possible"  # somebody sends the vehicles elsewhere
+        manager.task = "possible"  # the vehicles are sent elsewhere
 
     manager.accept = accept
     monkeypatch.setattr(trajectory_node, "plan_ways", plan_ways)

@@ -818,7 +818,7 @@ def test_full_tilt_for_long_holds_and_lands(phi, levels):
     for each in (desk, off):
         each.control = Controls(phi, 0.0, 0.0, HOVER_N)
         each.run(3.0)
-        assert each.press(TOGGLE).mode is True, "in manual mode nobody follows it"
+        assert each.press(TOGGLE).mode is True, "in manual mode it is not followed"
     for wait_s, level in zip((0.7, 0.2, 0.8), levels):
         desk.run(wait_s)
         off.run(wait_s)
@@ -977,7 +977,7 @@ def test_packets_without_a_battery_are_no_empty_battery():
     assert desk.run(0.2), "flies on"
 
 
-# --- a landing that somebody asks for ---------------------------------------------------------------------------------
+# --- a landing that is requested --------------------------------------------------------------------------------------
 
 
 def request(desk):
@@ -993,7 +993,7 @@ def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
     if autonomous:
         assert desk.press(TOGGLE).mode is True
     desk.alive.add("joystick")
-    desk.joy(axes=(0.0,) * 7 + (0.5,))  # a stick that somebody holds does not fly on
+    desk.joy(axes=(0.0,) * 7 + (0.5,))  # a stick that is held does not fly on
     since = len(desk.orders)
     assert request(desk)[0] is True
     asked = desk.orders[-1][1]

@@ -155,7 +155,7 @@ class QuadEkfTest(unittest.TestCase):
 
     def test_silence_makes_everybody_invisible_with_the_old_stamp(self):
         self.send_until(self.is_visible, "both vehicles are seen")
-        wait_for(lambda: not any(entry.visible for entry in self.states.messages[-1].Obj), "nobody is visible")
+        wait_for(lambda: not any(entry.visible for entry in self.states.messages[-1].Obj), "no vehicle is visible")
         self.assertLess(self.states.messages[-1].header.stamp, rospy.Time.now() - rospy.Duration(0.5))
         wait_for(lambda: {b.status for b in self.statuses.messages[-1].bodies} == {BodyStatus.LOST}, "all are lost")
 

@@ -115,7 +115,7 @@ def test_a_filter_is_given_raw_poses_late_ones_if_it_takes_them_and_what_is_meas
     estimator.on_board("fluffy_II", 1.012, "gyro", np.zeros(3))
     estimator.on_board("fluffy_II", 1.012, "command", np.zeros(4))
     estimator.on_board("Kahn", 1.012, "gyro", np.zeros(3))
-    assert estimator.update(1.005, *body) is None, "late: it changes the filter, nobody is told twice"
+    assert estimator.update(1.005, *body) is None, "late: it changes the filter, states are not reported twice"
     assert estimator.update(0.900, *body) is None and estimator.counts.backward_stamps == 1, "too late"
     assert estimator.update(1.015, *body).stamp_s == 1.015
     assert [entry[0] for entry in recorder.given] == [1.000, 1.010, 1.012, 1.005, 1.015]

@@ -222,7 +222,7 @@ def test_a_new_clock_forgets_where_all_were():
     assert estimator.poses.present.all() and estimator.counts.jumps == 0
 
 
-# --- nobody is locked out
+# --- no body is locked out
 
 
 def seen(estimator, truth, k, rng, change=lambda bodies: None):

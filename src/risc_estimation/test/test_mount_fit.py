@@ -130,7 +130,7 @@ def test_one_landmark_from_one_place_tells_two_angles_only():
     fit = fit_mount(noisy(everything(fly(TRUE, flight=still, landmarks=one)), 1), start)
     for name in ("x", "y", "z", "roll", "pitch", "yaw"):
         assert "%s is unknown" % name in fit.warnings[0]
-    assert distance_m(fit.mount, start) < 0.3, "what nobody knows stays where it was"
+    assert distance_m(fit.mount, start) < 0.3, "what the samples do not tell stays where it was"
     assert np.isfinite(fit.mount.position_m).all()
 
 

@@ -453,7 +453,7 @@ def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
     flight.finish()
     assert [out[:2] for out in flight.operator.out] == [("risc2", OutCause.SILENT)]
     assert vehicle.state == FlightState.LANDED
-    assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when nobody knows whether it stands, the button may mean take-off"
+    assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when its state is unknown, the button may mean take-off"
 
 
 @pytest.mark.parametrize("out_s, calls", [(1.5, 1), (3.0, 1), (10.0, 5)])

@@ -50,7 +50,7 @@ def test_the_global_limits_are_the_controllers_and_the_vehicle_nodes(server):
     private = {"control_vz_max": 500}
     assert told_vehicle_type(vehicle(), private).climb_max_m_s == pytest.approx(0.5), "a private one wins"
     server["/delay"] = 7.0
-    assert told_vehicle_type(vehicle(), {}).climb_time_constant_s == 0.3, "a name for anybody's delay"
+    assert told_vehicle_type(vehicle(), {}).climb_time_constant_s == 0.3, "a name for the delay of any type"
 
 
 @pytest.mark.parametrize("field", FULL_SCALES)

@@ -279,7 +279,7 @@ def test_switched_off_and_on_it_knows_nobody_and_is_out_of_its_emergency(lab):
     lab.host.power_cycle(lab.now_s)
     lab.run(1.0, ref=START, pcmd=HOVER)
     assert lab.vehicle.phase is FlightPhase.LANDED, "bit 9 has been set all the time"
-    assert lab.state & BOOTSTRAP and not lab.state & EMERGENCY and not lab.packets, "nobody has asked for navdata"
+    assert lab.state & BOOTSTRAP and not lab.state & EMERGENCY and not lab.packets, "no client has asked for navdata"
     lab.client.sequence = 0
     lab.fly()
 

@@ -65,7 +65,7 @@ def synchronised(**options):
 @pytest.mark.parametrize("channels_us", [GOOD, (900, 2100, 900, 2100), (1500,) * 8, (1001, 1999, 1234, 1567, 1500)])
 def test_a_good_frame_is_read_to_the_microsecond_in_either_polarity(pulse_level, channels_us):
     signal = Signal(pulse_level=pulse_level)
-    assert signal.send(channels_us) is None, "nobody knows what came before its first edge"
+    assert signal.send(channels_us) is None, "what came before its first edge is unknown"
     for _ in range(5):
         assert signal.send(channels_us) == channels_us
     assert signal.receiver.counts == {"no gap before": 1, "frames": 5}

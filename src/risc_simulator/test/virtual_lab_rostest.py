@@ -87,7 +87,7 @@ class VirtualLabTest(unittest.TestCase):
     def test_bad_orders_do_not_end_it(self):
         board = rospy.Publisher("/virtual_lab/board", WaveBoard, queue_size=20)
         light = rospy.Publisher("/virtual_lab/light", Float64, queue_size=20)
-        self.wait_until(lambda: board.get_num_connections() and light.get_num_connections(), "nobody listens")
+        self.wait_until(lambda: board.get_num_connections() and light.get_num_connections(), "no subscriber")
         for bad in (float("nan"), float("inf"), -1.0):
             board.publish("risc1", bad)
             light.publish(bad)

@@ -301,7 +301,7 @@ class _Udp:
 class _Pty:
     def __init__(self, path):
         """path: of a symbolic link to the terminal, so that the name stays, as with a serial device."""
-        self.master, self.slave = os.openpty()  # kept open: the device exists even while nobody uses it
+        self.master, self.slave = os.openpty()  # kept open: the device exists even while no program uses it
         self.path = str(path)
         with contextlib.suppress(FileNotFoundError):
             os.unlink(path)

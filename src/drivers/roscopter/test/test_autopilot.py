@@ -299,7 +299,7 @@ def test_channels_are_given_back_once_a_lost_device_is_there_again():
     bench.autopilot.closed(bench.now_s)
     bench.vehicle.is_silent = True
     bench.run(3.0)
-    assert RELEASE not in overrides(bench), "nobody would have heard it"
+    assert RELEASE not in overrides(bench), "no autopilot would have received it"
     bench.vehicle.is_silent = False
     bench.autopilot.opened(bench.now_s)
     bench.run(2.0)

@@ -178,8 +178,8 @@ class SafetyLadder:
         self._near.note(look.holds and not (is_lost and look.joins), now_s)
 
     def apart(self, now_s):
-        """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before
-        it is time to land: first all come to a stop.
+        """The newest `separation.Look` while it holds because of other vehicles, else None. No vehicle is sent aside
+        before it is time to land: first all come to a stop.
         """
         if self.verdict.level != _HOLD or self.verdict.rule != Rule.SEPARATION:
             return None

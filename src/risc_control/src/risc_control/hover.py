@@ -12,9 +12,9 @@ While a controller flies, nothing here commands.
 While the vehicle follows its pilot's transmitter (`FlightState.PILOT`) nothing is ordered; what is sent would bring it
 to a stop. It stays the pilot's until an operator takes it back (`take_back`).
 
-The hover throttle is known badly (battery, load, propellers). `ClimbObserver` learns the error in the air, whoever
-flies, and the adapter adds it to every command: it is the integral action of this hold, and is kept when control passes
-to a controller and back.
+The hover throttle is known badly (battery, load, propellers). `ClimbObserver` learns the error in the air, in
+manual and in autonomous mode, and the adapter adds it to every command: it is the integral action of this hold, and is
+kept when control passes to a controller and back.
 
 Without states it continues by the model of its climb (`BlindHeight`): HOLDING at the height at which it was seen last,
 LANDING down to the floor.
@@ -238,7 +238,7 @@ class Hover:
 
     def must_be_silent(self, now_s):
         """True if it lands unseen and is down by the model: its own failsafe knows better, and lands or disarms it as
-        soon as nothing is sent. Also if its pilot flies it and it is not seen: nobody could fly it if he gave it back.
+        soon as nothing is sent. Also if its pilot flies it and it is not seen: given back, it could not be flown.
         """
         if self.has_pilot and not self._is_seen(now_s):
             return True

@@ -96,7 +96,7 @@ class ButtonEdges:
     A button that is down in the very first message counts as pressed: joy_node publishes on change only, so the first
     message a node sees often *is* the press. A button that goes down with a late message and is still down in the next
     one in time is `belated` there, once. So is one that is down in a first message right after the node has started: it
-    may have been restarted while somebody holds the button.
+    may have been restarted while the button is held.
     """
 
     def __init__(self, late_s=LATE_S, listens_since_s=-math.inf):

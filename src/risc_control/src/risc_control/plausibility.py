@@ -16,7 +16,7 @@ A state that contradicts these limits is suspect, and so are those after it. The
 steps in a row that do not contradict (`_SLOWLY` where their velocity has changed), if that track began where the
 vehicle can have come since the last state that was believed, or has returned near to where that state leads. A track
 that continues elsewhere stays suspect until the vehicle must have landed (`separation_forget_s`); then it is believed,
-or nobody could ever fly the vehicle again.
+or the vehicle could never be flown again.
 
 Times are stamps. A message whose stamp is older than one before it is ignored. When the clock of the stamps was set,
 earlier states keep their true age, so that a set clock hides no contradiction.

@@ -393,7 +393,8 @@ class VehiclePilot:
     def on_land_request(self, now_s):
         """A landing is requested without a joystick.
 
-        The ladder lands the vehicle, whoever flies it, until it reports that it stands or the operator takes over.
+        The ladder lands the vehicle, in manual and in autonomous mode, until it reports that it stands or the operator
+        takes over.
         """
         orders = Orders()
         silent = not self.ladder.navdata_is_fresh(now_s)

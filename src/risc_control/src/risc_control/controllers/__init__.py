@@ -51,7 +51,7 @@ class Bundle(NamedTuple):
     """All inputs other than the reference, including those that only some fleets or filters provide."""
 
     vehicles: States
-    autonomous: np.ndarray  # (n,) bool, False where somebody else flies the vehicle: our commands are not sent
+    autonomous: np.ndarray  # (n,) bool, False where this controller does not fly the vehicle: its commands are not sent
     sent: CommandHistory  # commands actually sent to the vehicles, where known; on the clock of `Times`
     bodies: States  # row i: the body that vehicle i carries; not visible if there is none. Its angles are meaningless
     # (n, 12, 12) of `vehicles`, rows and columns as in `S`, NaN where unknown; the newest estimate, which nodes receive

@@ -112,8 +112,8 @@ class Controller(controllers.Controller):
         self._stamp_s = -np.inf
 
     def step(self, t, states, reference, params):
-        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0, level, gain, lag and
-        drag are forgotten, and nothing counts as sent.
+        """As `controllers.Controller`. Where a vehicle is not autonomous, integrators rest at 0, level, gain,
+        lag and drag are forgotten, and nothing counts as sent.
         """
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
@@ -174,7 +174,7 @@ def _step(
         plant, limit, gain = plants[kind], limits[kind], gains[kind]
         saturated[i] = False
         if not autonomous[i]:
-            # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
+            # not autonomous: what was learnt of this vehicle's trim may not hold when we take over
             integral.north_m_s = integral.east_m_s = integral.up_m_s = 0.0
             forget(seen, unknown)
         if not usable[i]:

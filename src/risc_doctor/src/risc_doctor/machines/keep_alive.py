@@ -41,7 +41,7 @@ set -e;
 printf '%s' | $sudo tee %s >/dev/null;
 """
 # Let the listener read its files (by HUP, like `systemctl reload ssh`). Open sessions stay open. Like that command,
-# have sshd test them first: with an error in its settings the listener would end, and nobody could log in any more.
+# have sshd test them first: with an error in its settings the listener would end, and no user could log in any more.
 _RELOAD = """
 $sudo $sshd -t || { ${undo:-:}; exit 1; };
 [ -z "$listener" ] || $sudo kill -HUP "$listener"

@@ -1,6 +1,6 @@
 """The made-up quadrotor: its attitude loops take radians; the third stick is its thrust, and nothing holds a height.
 
-Its wire: UDP 4050 takes a text, an order or four sticks; whatever comes on UDP 4051 is answered with state and charge.
+Its wire: UDP 4050 takes a text, an order or four sticks; every packet on UDP 4051 is answered with state and charge.
 """
 
 import socket

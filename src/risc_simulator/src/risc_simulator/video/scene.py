@@ -81,8 +81,8 @@ class Disc:
 class Board:
     """A checkerboard for calibration.
 
-    Board axes as OpenCV's: x along the columns to the right, y along the rows down, z into the board, as seen by
-    somebody in front of it; the origin is the middle of the inner corners.
+    Board axes as OpenCV's: x along the columns to the right, y along the rows down, z into the board, as seen from
+    in front of it; the origin is the middle of the inner corners.
     """
 
     columns: int  # inner corners

@@ -165,7 +165,7 @@ def _full_name():
 
 
 def _check_free(host, port):
-    """Raise ValueError when the port cannot be used: viser would take the next free one, where nobody finds it."""
+    """Raise ValueError when the port cannot be used: viser would silently take the next free one."""
     try:
         socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError as error:
