@@ -8,7 +8,7 @@ import pytest
 
 from risc_control.plausibility import Doubt, Plausibility, reach_of
 from risc_control.safety import SafetyLimits
-from risc_lab.clock import AGREEING
+from risc_lab.clock_guard import AGREEING
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 
 R, A, N = Step
 

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from data_extraction.recording import COMMANDS, ON_COURSE, REFERENCES, STATES, Recording
 from risc_control.vehicles import adapter_class
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.command_history import Channel, CommandHistory, command_of
 from risc_lab.lab.vehicle_types import DEFAULT_TYPE, load_vehicle_type
 from risc_lab.phases import OperatorPhase

@@ -28,7 +28,7 @@ import math
 import numpy as np
 
 from risc_control.vehicles import adapter_class, greatest_command
-from risc_lab.clock import AGREEING, ClockGuard, Step
+from risc_lab.clock_guard import AGREEING, ClockGuard, Step
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, wrap_one_angle
 from risc_lab.states import S

@@ -18,7 +18,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.compiled import compiled
 
 

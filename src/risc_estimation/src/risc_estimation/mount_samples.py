@@ -12,7 +12,7 @@ import numpy as np
 from risc_estimation.mount_fit import Samples
 from risc_estimation.pose_track import PoseTrack
 from risc_lab.camera import rays_of_bearings
-from risc_lab.clock import Step
+from risc_lab.clock_guard import Step
 from risc_lab.settings import Positive, Settings, between
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.frames import rotation_body_to_cortex
 
 _WIDTH = 7  # stamp, position, roll, pitch, yaw

@@ -16,7 +16,7 @@ import numpy as np
 from risc_estimation.filters import make_filter
 from risc_estimation.given_poses import GivenPoses
 from risc_estimation.pose_fit import NOTHING, PoseFit
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.lab.templates import LANDMARK, VEHICLE
 
 _LATE = 128  # frames

@@ -9,7 +9,7 @@ import numpy as np
 from risc_estimation.bearings import Bearing
 from risc_estimation.expected_bearings import LANDMARK, Hull, look
 from risc_estimation.pose_track import PoseTrack
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.lab.landmark_catalogue import Disc
 from risc_lab.settings import NotNegative, Positive, Settings, between
 

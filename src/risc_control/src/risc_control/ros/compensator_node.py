@@ -13,7 +13,7 @@ import rospy
 
 from risc_control.lag_compensator import LagCompensator
 from risc_control.ros.conversions import StatesMessage, StatesReader, note_commands
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s

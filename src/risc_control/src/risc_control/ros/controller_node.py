@@ -15,7 +15,7 @@ from risc_control.controllers import ControlLoop, default_params, descriptions, 
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader, covariances_of, note_commands
 from risc_control.vehicles import adapter_class
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS
 from risc_lab.ros import low_latency

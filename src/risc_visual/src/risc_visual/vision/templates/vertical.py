@@ -6,7 +6,7 @@ import math
 import cv2
 import numpy as np
 
-from risc_lab.clock import ClockGuard, Step
+from risc_lab.clock_guard import ClockGuard, Step
 
 KEPT_S = 1.0  # how long the roll is remembered
 
