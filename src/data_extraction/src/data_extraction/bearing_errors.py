@@ -7,7 +7,7 @@ import numpy as np
 
 from data_extraction.flatten import seconds
 from data_extraction.recording import best_shift
-from data_extraction.report.topics import Collector
+from data_extraction.report.recorded_topics import Collector
 from data_extraction.samples import Samples
 from data_extraction.surroundings import Surroundings
 from risc_estimation.bearings import make_camera

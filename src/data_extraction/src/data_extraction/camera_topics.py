@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from data_extraction.report.topics import vehicle_of
+from data_extraction.report.recorded_topics import vehicle_of
 from risc_lab.images import MESSAGES
 
 PICTURES = ("image_raw", "image_rect_color")

@@ -13,7 +13,7 @@ from data_extraction.command_line import bag_parser, fleet_of, folder_beside, ru
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress, bar
 from data_extraction.recording import REFERENCES, STATES
-from data_extraction.report.topics import fits
+from data_extraction.report.recorded_topics import fits
 from data_extraction.segments import COLUMNS, TOPICS, PlotParams, Recorder
 
 _SHOW_EVERY = 2000  # messages

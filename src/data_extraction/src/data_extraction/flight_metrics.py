@@ -9,7 +9,7 @@ import numpy as np
 from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
 from data_extraction.recording import ON_COURSE, REFERENCES, STATES, TRUTH, Recording, Series, best_shift
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.recorded_topics import Collector, vehicle_of
 from data_extraction.samples import Arrivals
 from risc_control.safety import FailsafeLevel
 from risc_control.vehicles import adapter_class

@@ -14,7 +14,7 @@ from data_extraction import camera_topics
 from data_extraction.bags import Bag, BagError
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
-from data_extraction.report.topics import vehicle_of
+from data_extraction.report.recorded_topics import vehicle_of
 from data_extraction.surroundings import LANDMARKS, Surroundings
 from risc_estimation.bearings import make_camera
 from risc_estimation.expected_bearings import LANDMARK, VEHICLE, Observer, look

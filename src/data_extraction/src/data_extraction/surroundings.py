@@ -7,7 +7,7 @@ import numpy as np
 
 from data_extraction.camera_topics import is_bottom
 from data_extraction.flatten import seconds
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.recorded_topics import Collector, vehicle_of
 from data_extraction.samples import Samples
 from risc_estimation.bearings import calibration_from_info
 from risc_estimation.expected_bearings import Hull

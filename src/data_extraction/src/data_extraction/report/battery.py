@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from data_extraction.report.topics import PerName, vehicle_of
+from data_extraction.report.recorded_topics import PerName, vehicle_of
 from data_extraction.samples import Samples
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 from data_extraction.bearing_errors import ANGLES
 from data_extraction.flight_metrics import FlightCollector
-from data_extraction.report.airframes import vehicle_types
 from data_extraction.report.battery import BatteryCollector
 from data_extraction.report.computers import ComputerCollector
 from data_extraction.report.drops import DropCollector
@@ -13,8 +12,9 @@ from data_extraction.report.faults import FaultCollector
 from data_extraction.report.fence import FenceCollector
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
+from data_extraction.report.recorded_topics import fits
 from data_extraction.report.snapshots import SnapshotCollector
-from data_extraction.report.topics import fits
+from data_extraction.report.types_in_bag import vehicle_types
 from risc_control.safety import SafetyLimits, fence_of
 from risc_lab.lab.arena import Arena
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from data_extraction.report.topics import PerName, vehicle_of
+from data_extraction.report.recorded_topics import PerName, vehicle_of
 
 
 @dataclass

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_extraction.flatten import stamp_or_receipt_s
-from data_extraction.report.topics import Collector
+from data_extraction.report.recorded_topics import Collector
 from risc_lab.lab.arena import Arena
 
 MOCAP, STATES = "/mocap_data", "/cortex_raw"

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from data_extraction.report.faults import FAULT_TOPICS, fault_text
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.recorded_topics import Collector, vehicle_of
 from risc_control.vehicles import told_topics
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from data_extraction.flatten import seconds
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.recorded_topics import Collector, vehicle_of
 from risc_control.safety import FailsafeLevel, Rule
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles

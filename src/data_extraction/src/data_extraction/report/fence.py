@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_extraction.flatten import stamp_or_receipt_s
-from data_extraction.report.topics import PerName
+from data_extraction.report.recorded_topics import PerName
 from data_extraction.samples import Samples
 from risc_control.fence import Fence
 from risc_control.safety import SafetyLimits

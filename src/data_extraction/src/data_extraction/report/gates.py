@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from data_extraction.report.topics import PerName
+from data_extraction.report.recorded_topics import PerName
 
 # End of the topic of a node's status -> those of its counters that are decisions (texts: templates/sections.html).
 GATES = {

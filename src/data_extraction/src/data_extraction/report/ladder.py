@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from data_extraction.report.topics import PerName, vehicle_of
+from data_extraction.report.recorded_topics import PerName, vehicle_of
 from risc_control.safety import WITHOUT_EFFECT, FailsafeLevel, Rule
 
 _MOST_SPANS = 2000  # of one vehicle; beyond that, only landings are kept

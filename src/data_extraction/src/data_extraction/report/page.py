@@ -10,7 +10,7 @@ from data_extraction.flight_metrics import HOPS, percentiles_ms
 from data_extraction.report.drops import CELL_M, GAP_S
 from data_extraction.report.events import head_and_tail
 from data_extraction.report.ladder import by_rule, raised
-from data_extraction.report.topics import expected, vehicle_of
+from data_extraction.report.recorded_topics import expected, vehicle_of
 
 _UNITS = {"m": "\u202fm", "s": "\u202fs", "rad": "\u202frad", "deg": "°", "pct": "\u202f%", "ms": "\u202fms",
           "hz": "\u202fHz"}  # fmt: skip

@@ -7,7 +7,7 @@ import cv2
 
 from data_extraction.camera_topics import GREEN, YELLOW, draw_outline, is_bottom, one_topic_each
 from data_extraction.flatten import seconds
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.recorded_topics import Collector, vehicle_of
 from risc_lab.images import picture_from_msg
 
 REGIONS = "/land_rois"

@@ -17,7 +17,7 @@ from data_extraction.bags import Bag
 from data_extraction.command_line import fleet_of
 from data_extraction.flatten import seconds, stamp_or_receipt_s
 from data_extraction.report.drops import MARKER_LIMIT_M, MOCAP
-from data_extraction.report.topics import fits
+from data_extraction.report.recorded_topics import fits
 from risc_lab.phases import TrajectoryPhase
 from risc_simulator.faults import FaultEvent, fault_settings
 

@@ -22,7 +22,7 @@ from roslib.packages import find_node
 from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
-from data_extraction.report.topics import fits
+from data_extraction.report.recorded_topics import fits
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.mortal import mortal
 from risc_lab.phases import OperatorPhase

@@ -20,7 +20,7 @@ from risc_maap_msgs.msg import Counter, SerialLink
 from rosserial_python.diagnosis import TEXTS, WARNINGS, Cause, cause_of
 from rosserial_python.link import State
 from rosserial_python.ports import AcceptedPort, ListeningPort, make_port
-from rosserial_python.ros.topics import Topics
+from rosserial_python.ros.device_topics import Topics
 from rosserial_python.session import Session
 from rosserial_python.settings import LISTEN, SerialParams
 

@@ -1,6 +1,6 @@
 """Which type each vehicle of a bag is: from its fleet, else from its driver's topics, else from the lab's names."""
 
-from data_extraction.report.topics import fits
+from data_extraction.report.recorded_topics import fits
 from risc_control.vehicles import REGISTRY
 from risc_lab.lab import load_vehicle_type
 

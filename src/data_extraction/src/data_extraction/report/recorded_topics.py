@@ -1,4 +1,4 @@
-"""Vehicle of a topic, and the type that its messages must have: the name alone does not guarantee the type."""
+"""Topics of a recording: their vehicles, and the types that their messages must have; a name does not guarantee one."""
 
 import functools
 
