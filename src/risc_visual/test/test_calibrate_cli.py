@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rosbag
 import rospy
-from programs import run_program
+from run_programs import run_program
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 

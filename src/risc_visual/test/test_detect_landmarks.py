@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from disc_pictures import camera, exposed, paint_disc, wall
-from programs import run_program
+from run_programs import run_program
 
 from risc_lab.lab.calibration import save_calibration
 from risc_lab.lab.yaml_reader import package_file

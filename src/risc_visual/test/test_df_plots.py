@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rosbag
 import rospy
-from programs import run_program
+from run_programs import run_program
 
 from data_extraction.bags import BagError
 from data_extraction.course_plots import PageWriter, file_stem, plot_bag

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ardrone_autonomy import settings
+from ardrone_autonomy import aircraft_configuration
 from ardrone_autonomy.protocol import config
 from ardrone_autonomy.protocol.config import Category, ConfigError
 from risc_simulator.vehicles.ardrone.profiles import MAX_PROFILES, ConfigurationStore
@@ -14,7 +14,7 @@ IDS = (SESSION, USER, APPLICATION)
 
 
 def test_ids_of_the_ros_driver():
-    assert (settings.USER_ID, settings.APPLICATION_ID) == ("cea48d22", "e182b69b")
+    assert (aircraft_configuration.USER_ID, aircraft_configuration.APPLICATION_ID) == ("cea48d22", "e182b69b")
     assert config.crc_id("123456789") == "cbf43926"  # the check value of CRC-32
     assert config.is_id("cea48d22") and not config.is_id("CEA48D22") and not config.is_id("-cea48d2")
 

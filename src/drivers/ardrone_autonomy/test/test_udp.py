@@ -7,10 +7,10 @@ import time
 import pytest
 from scripted_drone import ScriptedDrone, fly_until
 
+from ardrone_autonomy.aircraft_configuration import setup_writes, wanted_texts
 from ardrone_autonomy.link import Phase
 from ardrone_autonomy.piloting import HOVER, Sticks
 from ardrone_autonomy.protocol.navdata import ControlState
-from ardrone_autonomy.settings import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread, resolve
 from risc_lab.testing import wait_for
 

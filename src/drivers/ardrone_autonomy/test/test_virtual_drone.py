@@ -14,9 +14,9 @@ pytest.importorskip("risc_simulator.virtual_lab", reason="the virtual lab is not
 
 from scripted_drone import fly_until, free_address
 
+from ardrone_autonomy.aircraft_configuration import APPLICATION_ID, USER_ID, setup_writes, wanted_texts
 from ardrone_autonomy.link import Phase
 from ardrone_autonomy.piloting import sticks_from_velocity
-from ardrone_autonomy.settings import APPLICATION_ID, USER_ID, setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread
 from risc_lab.lab import load_fleet
 from risc_lab.testing import wait_for
@@ -158,7 +158,7 @@ PILOT = """
 import sys, threading, time
 from ardrone_autonomy.keeper import Keeper
 from ardrone_autonomy.piloting import Sticks
-from ardrone_autonomy.settings import setup_writes, wanted_texts
+from ardrone_autonomy.aircraft_configuration import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread
 
 address, kept = sys.argv[1:]

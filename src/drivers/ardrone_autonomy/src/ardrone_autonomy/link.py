@@ -24,11 +24,11 @@ import struct
 from collections import deque
 from enum import Enum
 
+from ardrone_autonomy.aircraft_configuration import APPLICATION_ID, DRIVER_DEFAULTS, USER_ID
 from ardrone_autonomy.piloting import HOVER
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.at import CtrlMode
 from ardrone_autonomy.protocol.navdata import HEADER, WAKE_UP, ControlState, Navdata, NavdataError, State, peek
-from ardrone_autonomy.settings import APPLICATION_ID, DRIVER_DEFAULTS, USER_ID
 
 TICK_S = 0.025  # 40 Hz, as the original; the aircraft raises COM_WATCHDOG after 50 ms of silence
 MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
@@ -72,7 +72,7 @@ class DroneLink:
     """Connection, configuration and piloting of one vehicle.
 
     send_command, send_wake_up: functions of one bytes argument; they must not raise.
-    setup_writes: list of ("section:name", wire text) written after each connection, see settings.setup_writes.
+    setup_writes: list of ("section:name", wire text) written after each connection, of aircraft_configuration.
     session_id: 8 hexadecimal digits.
     settle_s: pause between the first packet and the configuration.
     command_timeout_s: hover when the last velocity command is older; 0 = it stays in force, as in the original.

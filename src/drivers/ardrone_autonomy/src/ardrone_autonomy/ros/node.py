@@ -22,6 +22,7 @@ from std_srvs.srv import EmptyResponse
 from tf2_msgs.msg import TFMessage
 
 from ardrone_autonomy import msg, srv
+from ardrone_autonomy.aircraft_configuration import VIDEO_CODEC_LIVE, VIDEO_CODEC_RECORD, WRITABLE_KEYS, setup_writes
 from ardrone_autonomy.attitude import Odometry
 from ardrone_autonomy.keeper import Keeper, take_over
 from ardrone_autonomy.link import DroneLink, Phase
@@ -31,7 +32,6 @@ from ardrone_autonomy.protocol.navdata import ControlState, Navdata, NavdataErro
 from ardrone_autonomy.ros import conversions
 from ardrone_autonomy.ros.params import parse_params
 from ardrone_autonomy.ros.video import Video
-from ardrone_autonomy.settings import VIDEO_CODEC_LIVE, VIDEO_CODEC_RECORD, WRITABLE_KEYS, setup_writes
 from ardrone_autonomy.udp import UdpThread, resolve
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import tf_frame

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, make_dataclass
 from typing import NamedTuple
 
+from ardrone_autonomy.aircraft_configuration import WRITABLE_KEYS, wanted_texts
 from ardrone_autonomy.link import COMMAND_TIMEOUT_S
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 from ardrone_autonomy.protocol.navdata import LAYOUTS
-from ardrone_autonomy.settings import WRITABLE_KEYS, wanted_texts
 from risc_lab.ros.params import params_from_dict
 from risc_lab.settings import Name, NotNegative, Positive, Settings
 
@@ -44,7 +44,7 @@ class Configuration(NamedTuple):
     params: DriverParams
     options: list  # names of the enabled selective messages, e.g. "demo"
     covariances: list  # of imu: acceleration, angular velocity, orientation; tuples of 9
-    texts: dict  # from settings.wanted_texts
+    texts: dict  # from aircraft_configuration.wanted_texts
     warnings: list  # texts about parameters that are unused or were replaced
 
     @property

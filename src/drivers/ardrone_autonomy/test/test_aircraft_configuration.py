@@ -2,8 +2,8 @@ import re
 
 import pytest
 
-from ardrone_autonomy import settings
-from ardrone_autonomy.settings import setup_writes, wanted_texts
+from ardrone_autonomy import aircraft_configuration
+from ardrone_autonomy.aircraft_configuration import setup_writes, wanted_texts
 
 # The names that the original driver's manual lists.
 BARE_NAMES = re.findall(
@@ -40,7 +40,7 @@ ALWAYS = {"navdata_demo": "FALSE", "max_bitrate": "4000", "navdata_options": "26
 
 
 def test_the_parameters_are_those_of_the_original():
-    assert set(settings.WRITABLE_KEYS) == set(BARE_NAMES)
+    assert set(aircraft_configuration.WRITABLE_KEYS) == set(BARE_NAMES)
 
 
 def test_without_parameters_only_the_drivers_own_values_are_written():
