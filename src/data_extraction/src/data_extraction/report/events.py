@@ -1,5 +1,5 @@
 """Events of a flight: what the operator did and was told (phases, joystick buttons, modes, warnings of the nodes), what
-the drivers of the vehicles' types report (`risc_control.vehicles.Told`), and injected faults.
+the drivers of the vehicles' types report (`risc_control.vehicles.EventTopic`), and injected faults.
 """
 
 import re
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from data_extraction.report.faults import FAULT_TOPICS, fault_text
 from data_extraction.report.recorded_topics import Collector, vehicle_of
-from risc_control.vehicles import told_topics
+from risc_control.vehicles import event_topics
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
@@ -46,8 +46,8 @@ class EventCollector(Collector):
     topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout", *FAULT_TOPICS)
 
     def __init__(self):
-        self._told = {"/" + topic: told for topic, told in told_topics().items()}
-        self.ends = ("/joy", "/controller_status", *self._told)
+        self._event_topics = {"/" + name: topic for name, topic in event_topics().items()}
+        self.ends = ("/joy", "/controller_status", *self._event_topics)
         self._events = []
         self._count = 0  # of all events, including those that were not kept
         self._newest = {}  # key -> (its newest event, {source: when that last came})
@@ -89,12 +89,12 @@ class EventCollector(Collector):
             if message.data or (source, "mode: ", "") in self._said:  # the initial mode is manual
                 self._note_change(receipt_s, source, "mode: ", "autonomous" if message.data else "manual")
         else:
-            self._note_told(receipt_s, topic, message)
+            self._note_event(receipt_s, topic, message)
 
-    def _note_told(self, time_s, topic, message):
-        end, told = next(item for item in self._told.items() if ("/" + topic).endswith(item[0]))
-        source, words = vehicle_of(topic, levels=end.count("/")), told.words(message)
-        if told.each:
+    def _note_event(self, time_s, topic, message):
+        end, event_topic = next(item for item in self._event_topics.items() if ("/" + topic).endswith(item[0]))
+        source, words = vehicle_of(topic, levels=end.count("/")), event_topic.words(message)
+        if event_topic.each:
             self._add(time_s, source, words)
         else:
             self._note_change(time_s, source, "", words, end)

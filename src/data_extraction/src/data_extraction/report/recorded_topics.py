@@ -2,7 +2,7 @@
 
 import functools
 
-from risc_control.vehicles import told_topics
+from risc_control.vehicles import event_topics
 
 # End of a topic's name -> name of its type without the package, which differs between the lab's releases.
 TYPES = {
@@ -69,7 +69,7 @@ def expected(topic):
 
 @functools.cache
 def _types():
-    return TYPES | {"/" + topic: told.message for topic, told in told_topics().items()}
+    return TYPES | {"/" + name: topic.message for name, topic in event_topics().items()}
 
 
 def fits(topic, kind):

@@ -23,7 +23,7 @@ def _types_by_namespace(topics):
     for name in REGISTRY.names():
         if load_vehicle_type(name).driver not in ("", name):
             continue  # its topics are those of another type
-        for driver in {told.partition("/")[0] for told in REGISTRY.module(name).Adapter.TOLD}:
+        for driver in {topic.partition("/")[0] for topic in REGISTRY.module(name).Adapter.EVENT_TOPICS}:
             parts = [(topic + "/").partition("/%s/" % driver) for topic in topics]
             found.update((namespace, name) for namespace, driver_found, _ in parts if driver_found)
     return found

@@ -86,8 +86,8 @@ class Status(NamedTuple):
     climb_m_s: float | None = None
 
 
-class Told(NamedTuple):
-    """How a topic of a type's driver is described to readers of a recording."""
+class EventTopic(NamedTuple):
+    """A topic of a type's driver whose messages are events of a recording, and how its readers are told of them."""
 
     message: str  # name of its type, without the package
     words: object  # function of a message that returns the text
@@ -112,7 +112,7 @@ class Adapter:
     REPORTS = "reports"  # what people call its reports
     LINK = "link"  # what people call the link by which they come
     COMMANDS = "commands"  # topic below its namespace for the commands to it
-    TOLD = {}  # {topic below its namespace: Told}
+    EVENT_TOPICS = {}  # {topic below its namespace: EventTopic}
     NODES = {}  # {role: node of its driver}, by which injected faults find it: `driver` takes the commands
     SILENT_S = 0.0  # longest normal gap between reports; a shorter `SafetyLimits.navdata_timeout_s` is raised to it
     NEEDS_BATTERY = False  # whether T on /controls depends on the charge, see `zero_thrust`
@@ -225,10 +225,10 @@ def adapter_class(vehicle_type):
     return adapter
 
 
-def told_topics():
-    """{topic below a vehicle's namespace: Told} of all types."""
+def event_topics():
+    """{topic below a vehicle's namespace: EventTopic} of all types."""
     adapters = (REGISTRY.module(name).Adapter for name in REGISTRY.names())
-    return {topic: told for adapter in adapters for topic, told in adapter.TOLD.items()}
+    return {name: topic for adapter in adapters for name, topic in adapter.EVENT_TOPICS.items()}
 
 
 def driver_nodes():

@@ -14,7 +14,7 @@ import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
-from risc_control.vehicles import Command, FlightState, Status, Told, climb_command, climb_loops, greatest_command
+from risc_control.vehicles import Command, EventTopic, FlightState, Status, climb_command, climb_loops, greatest_command
 from risc_lab.command_history import ROWS, Channel, CommandHistory, last_by
 from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
@@ -27,10 +27,10 @@ class Adapter(vehicles.Adapter):
     HOLDS_POSITION = True  # by its bottom camera and its height sensor
     REPORTS, LINK, COMMANDS = "navdata", "Wi-Fi", "cmd_vel"
     NODES = {"driver": "ardrone_driver"}
-    TOLD = {
-        "ardrone/takeoff": Told("Empty", lambda _: "take-off ordered", each=True),
-        "ardrone/land": Told("Empty", lambda _: "landing ordered", each=True),
-        "ardrone/reset": Told("Empty", lambda _: "reset ordered (emergency)", each=True),
+    EVENT_TOPICS = {
+        "ardrone/takeoff": EventTopic("Empty", lambda _: "take-off ordered", each=True),
+        "ardrone/land": EventTopic("Empty", lambda _: "landing ordered", each=True),
+        "ardrone/reset": EventTopic("Empty", lambda _: "reset ordered (emergency)", each=True),
     }
 
     def __init__(self, vehicle_type, command_rate_hz):

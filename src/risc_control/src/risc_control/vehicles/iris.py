@@ -19,7 +19,7 @@ import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
-from risc_control.vehicles import Command, FlightState, Status, Told
+from risc_control.vehicles import Command, EventTopic, FlightState, Status
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.vehicle_types import own_numbers
@@ -50,9 +50,11 @@ class Adapter(vehicles.Adapter):
     FLIES_ITSELF = False
     REPORTS, LINK, COMMANDS = "telemetry", "telemetry radio", "controls"
     NODES = {"driver": "roscopter", "transmitter": "arduino"}  # the latter: between its vehicle node and its radio
-    TOLD = {
-        "apm/state": Told("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
-        "ppm_status": Told("PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")),
+    EVENT_TOPICS = {
+        "apm/state": EventTopic("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
+        "ppm_status": EventTopic(
+            "PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")
+        ),
     }
     SILENT_S = 2.5  # its state comes with a heartbeat once a second
     MODE_CURE = "set it to %s" % MODE
