@@ -1,4 +1,4 @@
-"""A virtual camera is calibrated from pictures of the waved checkerboard, by calibrate.py and by camera_calibration."""
+"""A virtual camera is calibrated from pictures of the moving checkerboard, by calibrate.py and camera_calibration."""
 
 import functools
 import pathlib
@@ -116,7 +116,7 @@ def test_camera_calibration_agrees(show, lens):
     debian = MonoCalibrator([ChessboardInfo("chessboard", 8, 6, 0.025)], flags=cv2.CALIB_FIX_K3, name="ardrone_front")
     for image in images:
         debian.handle_msg(bridge.cv2_to_imgmsg(image, "bgr8"))
-    assert debian.goodenough, "the waving covers all that camera_calibration asks for: its CALIBRATE button lights up"
+    assert debian.goodenough, "the motion covers all that camera_calibration asks for: its CALIBRATE button lights up"
     debian.do_calibration()
     if lens not in STRONG_LENSES:
         assert intrinsics_error(debian.as_message().K, camera) < INTRINSICS_LIMIT

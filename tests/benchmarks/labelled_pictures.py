@@ -14,7 +14,7 @@ from picture_truth import LabelledRenderer, Truth, corners_px, held_s
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
-from risc_simulator.video.checkerboard_motion import Waving
+from risc_simulator.video.checkerboard_motion import CheckerboardMotion
 from risc_simulator.video.renderer import noise_tile, to_camera
 from risc_simulator.video.scene import CameraPose, Prop, Scene, VehiclePose, bgr_of_hsv, load_style, plane_axes
 
@@ -273,7 +273,7 @@ def _blur_px(renderer, pose, discs):
 
 @dataclass(frozen=True)
 class CalibrationPicture:
-    """One picture of the waved board, with its truth."""
+    """One picture of the moving board, with its truth."""
 
     image: np.ndarray  # (height, width, 3) uint8, BGR
     corners_px: np.ndarray  # (rows * columns, 2)
@@ -284,9 +284,9 @@ def calibration_pictures(camera, seed, count=60):
 
     camera: risc_lab.camera.Camera. seed: of the pictures' noise.
     """
-    waving, renderer = Waving(camera), LabelledRenderer(camera, Scene(load_style()), seed)
+    motion, renderer = CheckerboardMotion(camera), LabelledRenderer(camera, Scene(load_style()), seed)
     level = rotation_body_to_cortex(0.0, 0.0, 0.0)
     pose = CameraPose(np.array([0.0, 0.0, 1.0]), level, np.zeros(3), np.zeros(3))
     for time_s in np.resize(held_s(), count):
-        image = renderer.render(pose, boards=(waving.board(time_s, pose),))
-        yield CalibrationPicture(image, corners_px(waving, camera, time_s))
+        image = renderer.render(pose, boards=(motion.board(time_s, pose),))
+        yield CalibrationPicture(image, corners_px(motion, camera, time_s))

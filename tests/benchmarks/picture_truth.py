@@ -148,7 +148,7 @@ class LabelledRenderer(Renderer):
 
 
 def held_s():
-    """Times (postures,) [s] within the first round of a waved board in the middle of each hold."""
+    """Times (postures,) [s] within the first round of a moving board in the middle of each hold."""
     return (HOLD_S + MOVE_S) * np.arange(len(POSTURES)) + 0.5 * HOLD_S
 
 
@@ -160,6 +160,6 @@ def corners_of(board):
     )
 
 
-def corners_px(waving, camera, time_s):
-    """Pixels (rows * columns, 2) of the inner corners of a board that is waved before a camera, row by row."""
-    return camera.project(corners_of(waving.board(time_s, CameraPose(np.zeros(3), np.eye(3)))))
+def corners_px(motion, camera, time_s):
+    """Pixels (rows * columns, 2) of the inner corners of a board that is moved before a camera, row by row."""
+    return camera.project(corners_of(motion.board(time_s, CameraPose(np.zeros(3), np.eye(3)))))

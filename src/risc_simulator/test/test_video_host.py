@@ -334,6 +334,6 @@ def test_light_and_board_are_seen(shared_lab, shared_client):
     while shared_client.picture()[1].mean() > 0.6 * bright.mean():
         assert time.monotonic() < deadline_s, "the light never went down"
     shared_lab.set_light(1.0)
-    shared_lab.wave_board("risc1", 600.0)
+    shared_lab.move_board("risc1", 600.0)
     while not cv2.findChessboardCornersSB(cv2.cvtColor(shared_client.picture()[1], cv2.COLOR_BGR2GRAY), (8, 6))[0]:
         assert time.monotonic() < deadline_s + PATIENCE_S, "no checkerboard was seen"

@@ -12,7 +12,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
 
-from risc_maap_msgs.msg import FaultKinds, Faults, WaveBoard
+from risc_maap_msgs.msg import BoardMotion, FaultKinds, Faults
 from risc_maap_msgs.srv import InjectFault, PutBack
 from risc_msgs.msg import Cortex
 
@@ -85,7 +85,7 @@ class VirtualLabTest(unittest.TestCase):
         subscriber.unregister()
 
     def test_bad_orders_do_not_end_it(self):
-        board = rospy.Publisher("/virtual_lab/board", WaveBoard, queue_size=20)
+        board = rospy.Publisher("/virtual_lab/board", BoardMotion, queue_size=20)
         light = rospy.Publisher("/virtual_lab/light", Float64, queue_size=20)
         self.wait_until(lambda: board.get_num_connections() and light.get_num_connections(), "no subscriber")
         for bad in (float("nan"), float("inf"), -1.0):

@@ -335,10 +335,10 @@ class VirtualLab:
             raise ValueError("the light must be from 0 to 10 times the normal one, got %r" % (brightness,))
         self._video.light = brightness
 
-    def wave_board(self, namespace, duration_s):
-        """Wave a checkerboard in front of a vehicle's camera for a time [s] from now. Raises ValueError."""
+    def move_board(self, namespace, duration_s):
+        """Move a checkerboard in front of a vehicle's camera for a time [s] from now. Raises ValueError."""
         if not 0.0 <= duration_s < math.inf:
-            raise ValueError("a board is waved for a time of 0 s or more, got %r" % (duration_s,))
+            raise ValueError("a board is moved for a time of 0 s or more, got %r" % (duration_s,))
         station = look_up(self._video.stations, namespace, "vehicle")
         station.board_s = self._served_s, self._served_s + duration_s
 

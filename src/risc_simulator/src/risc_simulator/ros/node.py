@@ -15,7 +15,7 @@ from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import is_closing
-from risc_maap_msgs.msg import Crash, FaultKind, FaultKinds, FaultRecord, Faults, Told, WaveBoard
+from risc_maap_msgs.msg import BoardMotion, Crash, FaultKind, FaultKinds, FaultRecord, Faults, Told
 from risc_maap_msgs.srv import InjectFault, InjectFaultResponse, PutBack, PutBackResponse
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings
 from risc_simulator.virtual_lab import LabOptions
@@ -127,7 +127,7 @@ class VirtualLabNode:
         Ticker(1.0, self._updater.force_update, "the diagnostics")
 
         rospy.Subscriber("~light", Float64, self._on_light, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("~board", WaveBoard, self._on_board, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("~board", BoardMotion, self._on_board, queue_size=10, tcp_nodelay=True)
 
     def after_frame(self):
         """Carry out orders, then publish the events and the ground truth of the frame that was just sent."""
@@ -233,7 +233,7 @@ class VirtualLabNode:
         self._orders.put((self._lab.set_light, (msg.data,)))
 
     def _on_board(self, msg):
-        self._orders.put((self._lab.wave_board, (msg.vehicle, msg.duration_s)))
+        self._orders.put((self._lab.move_board, (msg.vehicle, msg.duration_s)))
 
     def _diagnose(self, status):
         lab = self._lab

@@ -20,7 +20,7 @@ from risc_lab.frames import body_rates_from_euler_rates, rotation_body_to_cortex
 from risc_lab.lab.calibration import load_calibration, load_mount
 from risc_lab.priority import set_priority
 from risc_simulator.vehicles import virtual_type
-from risc_simulator.video.checkerboard_motion import Waving
+from risc_simulator.video.checkerboard_motion import CheckerboardMotion
 from risc_simulator.video.encoder import H264Encoder
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, VehiclePose, load_scene
@@ -69,16 +69,16 @@ class Eye:
         return Renderer(self.camera, self._scene, self._seed)
 
     @functools.cached_property
-    def _waving(self):
-        return Waving(self.camera)
+    def _board_motion(self):
+        return CheckerboardMotion(self.camera)
 
-    def look(self, row, vehicles, light, waved_s):
+    def look(self, row, vehicles, light, board_time_s):
         """Picture (h, w, 3) uint8 BGR from the vehicle whose state is row (12,), see camera_pose.
 
-        vehicles: VehiclePoses of the others. light, waved_s: see server.Order.
+        vehicles: VehiclePoses of the others. light, board_time_s: see server.Order.
         """
         pose = camera_pose(row, self.mount)
-        boards = () if waved_s is None else (self._waving.board(waved_s, pose),)
+        boards = () if board_time_s is None else (self._board_motion.board(board_time_s, pose),)
         picture = self._renderer.render(pose, vehicles, boards, light)
         if self._sensor_px is not None:
             size = picture.shape[1::-1]
@@ -99,7 +99,7 @@ class Cameras:
 
     def take(self, order, vehicles):
         """The picture of a server.Order in PaVE, bytes. vehicles: VehiclePoses of the others."""
-        picture = self._eyes[order.channel].look(order.rows[order.index], vehicles, order.light, order.waved_s)
+        picture = self._eyes[order.channel].look(order.rows[order.index], vehicles, order.light, order.board_time_s)
         settings = order.channel, order.rate_hz, order.bitrate_kbit_s
         if order.begins_anew or settings != self._settings:
             self._settings, display_px = settings, picture.shape[1::-1]

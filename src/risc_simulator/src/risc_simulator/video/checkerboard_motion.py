@@ -30,7 +30,7 @@ HOLD_S = 0.6  # a posture is held
 MOVE_S = 0.8  # from one to the next
 
 
-class Waving:
+class CheckerboardMotion:
     """The motion of one board in front of one camera; it repeats after `period_s`. Held, it is entirely in view."""
 
     def __init__(self, camera, columns=8, rows=6, square_m=0.025):

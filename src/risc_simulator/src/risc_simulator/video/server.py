@@ -46,7 +46,7 @@ class Order(NamedTuple):
     timestamp_ms: int
     rows: np.ndarray  # (n, 12) of World.truth()
     light: float  # of the room, 1 = normal
-    waved_s: float | None  # for how long [s] a checkerboard has been waved in front of the camera; None: there is none
+    board_time_s: float | None  # since the motion of a checkerboard before the camera began [s]; None: there is none
 
 
 class Station(TcpClients):
@@ -61,7 +61,7 @@ class Station(TcpClients):
         super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)
         self._channels, self._latency_s = channels or 1, load_vehicle_type(vehicle.type).video_latency_s
         self.configure(0, RATES_HZ[1], 4000.0, True)
-        self.board_s = 0.0, 0.0  # start and end of the waving of a checkerboard
+        self.board_s = 0.0, 0.0  # start and end of the motion of a checkerboard
         self.pictures = self.skipped = 0  # sent; left out because the computer was too slow
         self.newest_picture = 0, 0  # bytes of H.264 and frame number of the newest that was made
         self.begins_anew = True  # the next picture begins a stream
@@ -114,9 +114,9 @@ class Station(TcpClients):
         self.exposed_s = exposure_s
         begins_anew, self.begins_anew = self.begins_anew, False
         since_s, until_s = self.board_s
-        waved_s = max(0.0, exposure_s - since_s) if exposure_s < until_s else None
+        board_time_s = max(0.0, exposure_s - since_s) if exposure_s < until_s else None
         settings = self.channel, self.rate_hz, self.bitrate_kbit_s, begins_anew
-        return Order(index, *settings, round(1e3 * exposure_s), rows, light, waved_s)
+        return Order(index, *settings, round(1e3 * exposure_s), rows, light, board_time_s)
 
     def take(self, data, header):
         """Queue the picture that was ordered, to be sent after the video latency."""
