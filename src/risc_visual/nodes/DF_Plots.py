@@ -17,7 +17,7 @@ from data_extraction import course_plots
 from data_extraction.recording import COMMANDS, REFERENCES, STATES
 from data_extraction.segments import OPERATOR, PHASES, PLOT_BUTTON, SENT, PlotParams, Recorder
 from risc_control.joystick import ButtonPresses
-from risc_control.ros.joystick_buttons import origin
+from risc_control.ros.joystick_buttons import claim_buttons, origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_lab.ros.publisher_updates import init_node
@@ -52,7 +52,9 @@ class DFPlots:
         self._health = Health("DF_Plots", _COUNTED, done="logged")
         rospy.Service("~plot", Trigger, lambda _request: TriggerResponse(*self._plot()))
         joysticks = params.joysticks or ["joy"] + ["/%s/joy" % vehicle.namespace for vehicle in fleet]
-        for topic in sorted(set(map(rospy.resolve_name, joysticks))):
+        topics = sorted(set(map(rospy.resolve_name, joysticks)))
+        claim_buttons({"plot_button": params.plot_button}, topics)
+        for topic in topics:
             # Of any age: plots move no vehicle, and messages of a played bag are old.
             presses = ButtonPresses((params.plot_button,), math.inf)
             rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)

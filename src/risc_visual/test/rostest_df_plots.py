@@ -20,6 +20,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from risc_control.ros.joystick_buttons import claim_buttons
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
@@ -110,6 +111,10 @@ class DFPlotsTest(unittest.TestCase):
     def rows(self, path):
         with path.open() as stream:
             return [{key: float(value or "nan") for key, value in row.items()} for row in csv.DictReader(stream)]
+
+    def test_1_nothing_else_may_use_its_button(self):
+        with self.assertRaisesRegex(ValueError, "both Up and plot_button"):
+            claim_buttons({"Up": BUTTON}, ["/risc1/joy"])
 
     def test_1_before_a_flight_there_is_nothing_to_plot(self):
         answer = self.plot()

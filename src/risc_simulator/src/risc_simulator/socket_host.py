@@ -208,9 +208,9 @@ class SocketHost:
         """Make the wires.Wire of one of its channels, in its constructor. what: name without the host's."""
         return self.wires.wire("%s/%s" % (self._name, what))
 
-    def stream(self, what):
-        """Make the wires.Stream of one of its channels, in its constructor."""
-        return self.wires.stream("%s/%s" % (self._name, what))
+    def stream(self, what, is_cable=False):
+        """Make the wires.Stream of one of its channels, in its constructor.  is_cable: faults of its radio spare it."""
+        return self.wires.stream("%s/%s" % (self._name, what), is_cable)
 
     def hear(self, sock, wire, take):
         """Pass the datagrams of a socket through a wire to take(datagram, sender, time)."""

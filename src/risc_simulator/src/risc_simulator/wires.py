@@ -29,9 +29,9 @@ class Wires:
         """Wire of a channel that carries Observations of motion capture."""
         return self._wires.setdefault(channel, Wire(self, channel, "frames"))
 
-    def stream(self, channel):
-        """Stream of a channel: what one host writes to its TCP clients, e.g. risc1/control."""
-        return self._wires.setdefault(channel, Stream(self, channel))
+    def stream(self, channel, is_cable=False):
+        """Stream of a channel: what one host writes to its TCP clients, e.g. risc1/control.  is_cable: no radio."""
+        return self._wires.setdefault(channel, Stream(self, channel, is_cable))
 
     def add(self, event, bodies=None):
         """Let a FaultEvent act on the wires that match its channel, else its fault's; its start is a lab time.
@@ -54,11 +54,11 @@ class Wires:
 
         Raises ValueError if no wire matches, or none of a kind that the fault can act on.
         """
-        name, acts_on = event.fault, event.settings.acts_on
+        name, acts_on, on_cables = event.fault, event.settings.acts_on, event.settings.cables
         if not channel:
             raise ValueError("fault %s acts on %s: name their channel" % (name, " and ".join(acts_on)))
         meant = self._meant(channel)
-        fit = [wire for wire in meant if wire.kind in acts_on]
+        fit = [wire for wire in meant if wire.kind in acts_on and (on_cables or not wire.is_cable)]
         if not fit:
             text = "fault %s acts on %s; %s: %s"
             raise ValueError(text % (name, " and ".join(acts_on), channel, meant[0].kind))
@@ -104,6 +104,7 @@ class Wire:
     """One channel of datagrams, or of other self-contained items."""
 
     held = ()
+    is_cable = False
 
     def __init__(self, wires, channel, kind="datagrams"):
         self._wires, self.channel, self.kind = wires, channel, kind
@@ -152,8 +153,9 @@ class Wire:
 class Stream(Wire):
     """One channel of TCP connections."""
 
-    def __init__(self, wires, channel):
+    def __init__(self, wires, channel, is_cable=False):
         super().__init__(wires, channel, "streams")
+        self.is_cable = is_cable
         self.held = deque()  # data that a fault holds back, and the data behind it
         self._held_bytes = weakref.WeakKeyDictionary()  # bytes held, by connection
         self._newest_s = weakref.WeakKeyDictionary()  # connection -> when its newest data arrives

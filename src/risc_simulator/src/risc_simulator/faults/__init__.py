@@ -62,6 +62,7 @@ class FaultSettings(Settings):
     unit: str = ""  # of the severity
     acts_on: tuple[Literal["datagrams", "streams", "frames", "plant", "hosts", "programs"], ...] = ("datagrams",)
     channel: str = ""  # of the wire, unless an event names one; {vehicle}: its namespace
+    cables: bool = True  # acts on a vehicle's cables, not only on its radio
     argument: Literal["severity", "duration"] = "severity"  # meaning of a number on the command line
     duration_s: tuple[NotNegative, NotNegative] = (0.0, math.inf)  # least and greatest
     default: FaultDefault = FaultDefault()

@@ -34,6 +34,7 @@ from ardrone_autonomy.ros.params import parse_params
 from ardrone_autonomy.ros.video import Video
 from ardrone_autonomy.udp import UdpThread, resolve
 from risc_lab.ros.diagnostics import Growth, make_updater
+from risc_lab.ros.guard import subscribe
 from risc_lab.ros.params import tf_frame
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import is_closing
@@ -201,14 +202,9 @@ class ArdroneDriver:
     def _subscribe(self):
         prefix = self._prefix
         for topic, order in (("takeoff", DroneLink.take_off), ("land", DroneLink.land), ("reset", DroneLink.reset)):
-            rospy.Subscriber(
-                prefix + "ardrone/" + topic,
-                Empty,
-                lambda _message, order=order: self._post(order),
-                queue_size=1,
-                tcp_nodelay=True,
-            )
-        rospy.Subscriber(prefix + "cmd_vel", Twist, self._on_cmd_vel, queue_size=1, tcp_nodelay=True)
+            give = functools.partial(self._on_order, order)
+            subscribe(prefix + "ardrone/" + topic, Empty, give, queue_size=1)
+        subscribe(prefix + "cmd_vel", Twist, self._on_cmd_vel, queue_size=1)
         for name, service_type, handler in (
             ("togglecam", EmptySrv, self._on_toggle_camera),
             ("setcamchannel", srv.CamSelect, self._on_camera_channel),
@@ -234,6 +230,9 @@ class ArdroneDriver:
         """Hand an order (a method of DroneLink) to the current UDP thread."""
         udp = self.udp
         udp.post(order, udp.link, *arguments)
+
+    def _on_order(self, order, _message):
+        self._post(order)
 
     def _on_cmd_vel(self, twist):
         linear, angular = twist.linear, twist.angular

@@ -17,7 +17,7 @@ import rospy
 
 from risc_lab.message_age import MessageAges
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.guard import guarded
+from risc_lab.ros.guard import guarded, subscribe
 from risc_lab.ros.until_shutdown import until_shutdown
 from rosserial_msgs.srv import RequestParamResponse
 from rosserial_python import protocol
@@ -248,8 +248,8 @@ class ToDevice:
         self._topics, self._topic = topics, topic
         kind = known_class(topic)
         self._ages = MessageAges() if kind._has_header else None
-        self._subscriber = rospy.Subscriber(
-            topic.name, raw_class(kind), self._on_message, queue_size=1, buff_size=_BUFFER_BYTES, tcp_nodelay=True
+        self._subscriber = subscribe(
+            topic.name, raw_class(kind), self._on_message, queue_size=1, buff_size=_BUFFER_BYTES
         )
         rospy.loginfo("subscribes to %s [%s]", topic.name, topic.type)
 

@@ -74,7 +74,8 @@ class IrisHost(VehicleHost):
         except OSError:
             self.close()
             raise
-        self._line = SerialLine(listener, self.stream("arduino"), self.notices, self._board.reset, self._on_bytes)
+        stream = self.stream("arduino", is_cable=True)
+        self._line = SerialLine(listener, stream, self.notices, self._board.reset, self._on_bytes)
         self._waiting.add(self._line)
         self.hear(telemetry, self._mavlink_wire, self.mavlink.on_datagram)
         self.ports = Ports(*(sock.getsockname()[1] for sock in self._sockets))
