@@ -41,8 +41,8 @@ HOVER_M = (-0.8, 0.0, 1.0)
 LANDMARKS = {
     "Green_pink": (2.3, 0.8, 1.5),
     "Pink_blue": (2.3, -0.8, 1.5),
-    "Orange_blue": (-2.3, 0.8, 1.5),
-    "Blue_green": (-2.3, -0.8, 1.5),
+    "Orange_blue": (-3.5, 0.8, 1.5),
+    "Blue_green": (-3.5, -0.8, 1.5),
 }
 AHEAD = ("Green_pink", "Pink_blue")  # what is seen while it hovers
 SIZE = (1280, 900)
