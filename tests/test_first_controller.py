@@ -1,4 +1,4 @@
-"""docs/first_controller.md: its files are written, its controller flies offline, its flight's command is valid."""
+"""docs/first_controller.md: its files are written, its controller flies offline and with the whole graph."""
 
 import json
 import os
@@ -9,8 +9,7 @@ import subprocess
 import sys
 
 import pytest
-
-from risc_experiments import fly
+from flying import fly
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "first_controller.md").read_text(encoding="utf-8")
@@ -43,9 +42,10 @@ def test_the_controller_of_the_page_flies_offline(reader):
     assert flights and all(0.0 < rmse_m < LIMIT_M for flight in flights for rmse_m in flight["rmse_m"])
 
 
-def test_the_flight_of_the_page_has_valid_arguments(reader):
+@pytest.mark.alone
+def test_the_controller_of_the_page_flies_with_the_whole_graph(reader):
     (command,) = [line for line in COMMANDS if line.startswith("./maap fly")]
-    args = fly.arguments(shlex.split(command)[2:])
-    assert {"controllers/%s.%s" % (args.controller, kind) for kind in ("py", "yaml")} == {
-        str(path.relative_to(reader / "my_lab")) for path in reader.rglob("my_*") if path.suffix in (".py", ".yaml")
-    }
+    code, output, summary, _ = fly(reader / "flight", *shlex.split(command)[2:], "--duration", "10")
+    assert code == 0, output
+    (vehicle,) = summary["vehicles"].values()
+    assert 0.0 < vehicle["position_rmse_m"] < LIMIT_M
