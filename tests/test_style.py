@@ -85,7 +85,8 @@ def test_no_callback_of_a_flying_node_is_without_a_guard():
     """rospy logs a traceback for each message that a callback fails on. `risc_lab.ros.guard.subscribe` and
     PacedSubscriber guard theirs.
     """
-    flying = ROOT / "src/risc_control", ROOT / "src/risc_estimation", ROOT / "src/drivers/roscopter"
+    drivers = "drivers/ardrone_autonomy", "drivers/roscopter", "drivers/rosserial_python"
+    flying = [ROOT / "src" / name for name in ("risc_control", "risc_estimation", *drivers)]
     sources = [path for path in programs() if any(folder in path.parents for folder in flying)]
     bare = [
         "%s:%d" % (path.relative_to(ROOT), node.lineno)
