@@ -164,9 +164,9 @@ OTHER_NAMES = {  # module or C++ library -> what package.xml calls it, where tha
 WITHOUT_ROSDEP_NAME = {"msgspec", "pymavlink", "rosbags", "viser"}
 
 
-def imports(path):
-    """(line, module, name or None) of the imports of a file, but for those that it can do without."""
-    tried = [node for node in nodes_of(path) if isinstance(node, ast.Try)]
+def imports(path, with_optional=False):
+    """(line, module, name or None) of the imports of a file, with or without those that it can do without."""
+    tried = [node for node in nodes_of(path) if isinstance(node, ast.Try) and not with_optional]
     optional = {part for node in tried if "ImportError" in ast.unparse(node.handlers) for part in ast.walk(node)}
     for node in nodes_of(path):
         if isinstance(node, ast.Import) and node not in optional:
@@ -215,6 +215,67 @@ def test_every_import_is_there():
         if not is_there(module, name)
     ]
     assert missing == []
+
+
+FLOORS = (  # of docs/architecture.md, from the ground; on one floor, a package may import those before it
+    ("risc_msgs", "risc_maap_msgs", "risc_lab"),
+    ("cortex_ros", "drivers", "risc_estimation", "risc_control", "risc_simulator"),  # these do not import each other,
+    ("data_extraction", "risc_visual"),
+    ("risc_experiments", "risc_doctor"),
+)
+SHARED = {"cortex_ros": {"wire"}, "drivers": {"msg", "srv", "protocol"}}  # but for messages and codecs of these
+ROOMS = [room for floor in FLOORS for room in floor]
+
+
+def room(path):
+    """Folder in src that a file is in."""
+    return path.relative_to(ROOT / "src").parts[0]
+
+
+@functools.cache
+def steps():
+    """Imports from one of the ROOMS into another: (text for people, from, into, parts of the name)."""
+    found = []
+    for path in programs():
+        for line, module, name in imports(path, with_optional=True):
+            names = [*module.split("."), *filter(None, [name])]
+            target = room(PACKAGE_OF[names[0]]) if names[0] in PACKAGE_OF else room(path)
+            if target != room(path):
+                text = "%s:%d: %s" % (path.relative_to(ROOT), line, ".".join(names))
+                found.append((text, room(path), target, set(names)))
+    return found
+
+
+def are_neighbours(source, target):
+    return {source, target} <= set(FLOORS[1])
+
+
+def test_every_package_has_its_floor():
+    assert {room(path) for path in MANIFESTS} == set(ROOMS)
+
+
+def test_imports_go_down_only():
+    assert len(steps()) > 500
+    up = [
+        text
+        for text, source, target, _ in steps()
+        if ROOMS.index(target) > ROOMS.index(source) and not are_neighbours(source, target)
+    ]
+    assert not up, "these are above: " + ", ".join(up)
+
+
+def test_the_second_floor_shares_messages_and_codecs_only():
+    others = [
+        text
+        for text, source, target, names in steps()
+        if are_neighbours(source, target) and not names & SHARED.get(target, set())
+    ]
+    assert not others, "neither messages nor a codec: " + ", ".join(others)
+
+
+def test_nothing_that_flies_looks_or_evaluates_imports_the_simulator():
+    importing = {source for _, source, target, _ in steps() if target == "risc_simulator"}
+    assert importing and importing <= set(FLOORS[-1])
 
 
 @pytest.mark.parametrize("manifest", MANIFESTS, ids=lambda path: path.parent.name)
