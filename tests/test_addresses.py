@@ -136,6 +136,28 @@ def test_two_launch_files_start_the_driver_of_ardrones():
     assert sorted(starts) == sorted([alone, fleet])
 
 
+STARTS_A_DRIVER = [path for path in LAUNCH_FILES if "ip" in ASKS.get(path.stem, ()) or path.stem == "driver"]
+
+
+def hover_after_s(path, *argv):
+    """Silence [s] after which the driver that a launch file starts lets its vehicle hover; 0: never."""
+    names = [arg.get("name") for arg in ET.parse(str(path)).getroot().findall("arg")]
+    told = {**OTHER_ARGUMENTS, "ip": "127.0.0.1", "fleet": ROOT / "launch/fleets/ardrones3.yaml"}
+    config = load(path, *("%s:=%s" % item for item in told.items() if item[0] in names), *argv)
+    (driver,) = [node for node in config.nodes if node.type == "ardrone_driver"]
+    return config.params[driver.namespace + driver.name + "/cmd_timeout"].value
+
+
+@pytest.mark.parametrize("path", STARTS_A_DRIVER, ids=lambda path: path.stem)
+def test_no_launch_file_lets_an_ardrone_keep_the_last_command(path, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    assert 0.0 < hover_after_s(path) <= 0.5
+
+
+def test_an_argument_switches_the_hover_off():
+    assert hover_after_s(SRC / "drivers/ardrone_autonomy/launch/ardrone.launch", "cmd_timeout:=0") == 0.0
+
+
 def test_arguments_are_listed_although_they_are_missing():
     listed = get_args([str(ROOT / "launch/Multi_Machine_Experiment.launch")])
     assert ASKS["Multi_Machine_Experiment"] | {"fleet"} <= set(listed)
