@@ -687,31 +687,48 @@ def test_a_reader_that_has_read_enough_is_no_error(how):
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def doctor_of_shell(folder, python):
-    """Run `./maap doctor` in a dummy of a built workspace. python: shell commands that take the place of Python."""
+def maap(folder, python, *words):
+    """Run `./maap WORDS` in a dummy of a built workspace, and see that it makes nothing there.
+
+    python: shell commands that take the place of Python.
+    """
     (folder / ".venv" / "bin").mkdir(parents=True)
     (folder / ".venv" / "bin" / "python").write_text("#!/bin/sh\n%s\n" % python)
     (folder / ".venv" / "bin" / "python").chmod(0o755)
     (folder / "devel").mkdir()
     (folder / "devel" / "setup.bash").touch()
     shutil.copy(str(ROOT / "maap"), str(folder))
+    (folder / ".maap.lock").touch()
     there = sorted(folder.rglob("*"))
-    done = subprocess.run([str(folder / "maap"), "doctor", "--json"], capture_output=True, text=True)
+    done = subprocess.run([str(folder / "maap"), *words], capture_output=True, text=True)
     assert sorted(folder.rglob("*")) == there
     return done
 
 
-def test_maap_builds_nothing_before_the_doctor_looks(tmp_path):
+@pytest.mark.parametrize(
+    ("words", "program"),
+    [
+        (["doctor", "--json"], "risc_doctor --json"),
+        (["machines", "check", "a.launch"], "risc_doctor.machines check a.launch"),
+        (["report", "a.bag"], "data_extraction.report a.bag"),
+        (["screenshot", "a.bag"], "risc_experiments.screenshot a.bag"),
+        (["soak", "--table", "a"], "risc_experiments.soak --table a"),
+        (["stop"], "risc_experiments.stop"),
+    ],
+)
+def test_maap_builds_nothing_before_it_looks(words, program, tmp_path):
     """Others may be flying."""
-    done = doctor_of_shell(tmp_path, 'echo "$@"')
-    assert (done.returncode, done.stdout) == (0, "-m risc_doctor --json\n"), done.stderr
+    for name in ("apt-packages.txt", "apt-packages-rviz.txt", "requirements.txt"):
+        (tmp_path / name).touch()
+    done = maap(tmp_path, 'echo "$@"', *words)
+    assert (done.returncode, done.stdout) == (0, "-m %s\n" % program), done.stderr
 
 
 @pytest.mark.parametrize(("package", "cure"), [("no-such-package", "setup"), ("dpkg", "build")])
 def test_a_doctor_that_cannot_run_names_the_cure(package, cure, tmp_path):
     """`machines deploy` brings the workspace to a laptop before its packages are installed there."""
     (tmp_path / "apt-packages.txt").write_text(package + "\n")
-    done = doctor_of_shell(tmp_path, "echo line; echo Traceback >&2; echo 'No module named psutil' >&2; exit 1")
+    done = maap(tmp_path, "echo line; echo Traceback >&2; echo 'No module named psutil' >&2; exit 1", "doctor")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert "psutil" in done.stderr and done.stderr.endswith("./maap %s\n" % cure)
 
