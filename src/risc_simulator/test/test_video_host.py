@@ -21,7 +21,7 @@ from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import wires
 from risc_simulator.faults import FaultEvent, parse_fault
 from risc_simulator.vehicles.ardrone import CAMERAS
-from risc_simulator.virtual_lab import VirtualLab
+from risc_simulator.virtual_lab import LabOptions, VirtualLab
 from risc_simulator.world import REST_HEIGHT_M
 
 DISC_M = (2.3, 0.3, 0.25)
@@ -241,26 +241,40 @@ def test_nothing_runs_before_somebody_watches_and_nothing_is_left_behind(lab):
     assert children() == []
 
 
-def test_cameras_that_start_with_the_lab_are_ready_before_anybody_watches(make_lab):
+def test_cameras_that_start_with_the_lab_are_ready_before_anybody_watches(make_lab, monkeypatch):
     """A client then waits for one picture, not for a process to start; no picture is made before a client connects."""
     lab = make_lab(cameras_ahead=True)
+    (pid,) = children()
     deadline_s = time.monotonic() + PATIENCE_S
     while not lab.cameras_ready:
         assert time.monotonic() < deadline_s, "the cameras never were ready"
         time.sleep(0.05)
-    (pid,) = children()
     time.sleep(0.3)
     assert video_statistics(lab, "risc1", 0)["pictures"] == video_statistics(lab, "risc2", 0)["pictures"] == 0
-    asked_s = lab.now_s()
+    came = []  # (number of the newest exposure, whether the cameras were ready) when a client was accepted
+    station = lab._video.stations["risc1"]
+    accept = station.accept
+    monkeypatch.setattr(station, "accept", lambda: (came.append((lab.frame, lab.cameras_ready)), accept()))
     client = Client(lab.fleet.vehicles[0].address)
     try:
         header, picture = client.picture()
-        assert header.timestamp_ms > 1e3 * asked_s - 150.0, "of now, not of the time when the lab had started"
+        ((frame, were_ready),) = came
+        assert were_ready
+        assert header.timestamp_ms == round(1e3 * (frame + 1) / lab.fleet.mocap.rate_hz), "of the next exposure"
         green_centre(picture)
         assert children() == [pid]
         assert video_statistics(lab, "risc2", 0)["pictures"] == 0
     finally:
         client.close()
+
+
+@pytest.mark.parametrize(("told", "started"), [({}, 1), ({"cameras_on_demand": True}, 0)])
+def test_cameras_start_with_the_lab_unless_it_is_told_otherwise(told, started):
+    lab = LabOptions(**told).make_lab(make_fleet())
+    try:
+        assert len(children()) == started
+    finally:
+        lab.close()
 
 
 def test_a_camera_process_that_died_is_started_again(lab):
