@@ -5,7 +5,10 @@ import shlex
 
 import pytest
 import roslaunch
+import yaml
 from launch_parameters import Loader, unroll
+
+from ardrone_autonomy.ros.params import parse_params
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FILE = ROOT / "launch/Multi_Machine_Experiment.launch"
@@ -27,10 +30,7 @@ BASE_STATION = {
 OURS = {"/draw_trajectories", "/risc1/ardrone/compress_images", "/risc2/ardrone/compress_images",
         "/risc3/ardrone/compress_images"}  # fmt: skip
 PARAMETERS = {
-    "ardrone_driver": {"outdoor": 0, "flight_without_shell": 0, "altitude_max": 3000, "altitude_min": 50,
-                       "euler_angle_max": 0.349066, "control_vz_max": 1000, "control_yaw": 0.349066, "detect_type": 10,
-                       "detections_select_h": 32, "detections_select_v_hsync": 128, "enemy_colors": 3,
-                       "enemy_without_shell": 0},
+    "ardrone_driver": {"euler_angle_max": 0.349066, "control_vz_max": 1000, "control_yaw": 0.349066},  # not of its YAML
     "joy_node": {"dev": "/dev/input/js0"},
     "joystick_controller": {"JoytoWay": 0, "ButtonEmergency": 2, "TakeoffLand": 6, "Up": 9, "Down": 10,
                             "ShutDownNode": 7, "AxisRoll": 6, "AxisPitch": 7, "AxisYaw": 3, "ScaleRoll": 3,
@@ -92,6 +92,16 @@ def test_every_parameter_of_the_appendix_has_its_value(appendix, vehicle):
     url = appendix.params["/%s/ardrone_driver/camera_info_url" % vehicle].value
     assert url.startswith("file://") and pathlib.Path(url[len("file://") :]).exists()
     assert pathlib.Path(url).name == vehicle + ".yaml"
+
+
+@pytest.mark.parametrize("vehicle", ["risc1", "risc2", "risc3"])
+def test_every_key_of_the_drivers_yaml_is_written_to_the_vehicle(appendix, vehicle):
+    said = yaml.safe_load((ROOT / "launch/drivers/ardrone.yaml").read_text(encoding="utf-8"))
+    parts = [(*name.rpartition("/"), param.value) for name, param in appendix.params.items()]
+    given = {key: value for node, _, key, value in parts if node == "/%s/ardrone_driver" % vehicle}
+    assert said.items() <= given.items()
+    configuration = parse_params(given)
+    assert said.keys() <= configuration.texts.keys() and configuration.warnings == []
 
 
 def test_machines_have_the_appendix_addresses_and_no_passwords(appendix):
