@@ -107,9 +107,18 @@ def test_one_file_asks_rospy_whether_it_closes():
 
 def test_one_file_reads_who_sent_a_message():
     """rospy has no public name for it, so a new rospy may move it: what uses it asks `risc_lab.ros.sender`."""
+    assert readers_of("_connection_header") == ["sender.py"]
+
+
+def test_no_file_reads_where_rospy_keeps_the_bytes_of_a_message():
+    """The same: `risc_lab.ros.raw_messages` keeps them itself."""
+    assert readers_of("_buff") == []
+
+
+def readers_of(attribute):
+    """Names of the files, tests included, that read an attribute of this name."""
     sources = [*programs(), *(ROOT / "src").rglob("test/**/*.py"), *(ROOT / "tests").rglob("*.py")]
-    readers = [path.name for path in sources if "._connection" + "_header" in path.read_text(encoding="utf-8")]
-    assert readers == ["sender.py"]
+    return [path.name for path in sources if re.search(r"\.%s\b" % attribute, path.read_text(encoding="utf-8"))]
 
 
 def test_cpp_is_formatted():

@@ -27,6 +27,7 @@ from vehicle_world import (
 )
 
 from risc_control.safety import SafetyLimits
+from risc_lab.ros.raw_messages import raw_class
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import Safety
 from risc_msgs.msg import Controls
@@ -49,7 +50,7 @@ class VehicleFleetTest(unittest.TestCase):
         cls.rosout = rospy.Subscriber("/rosout", Log, lambda message: cls.logs.append(message.msg))
         cls.world = World(TEMPLATES, nodes=2, flown=("risc1", "risc2"))
         cls.sent, cls.torn = {template: set() for template in TEMPLATES.values()}, False
-        cls.controls = rospy.Subscriber("/controls", rospy.AnyMsg, cls.on_controls)
+        cls.controls = rospy.Subscriber("/controls", raw_class(Controls), cls.on_controls)
         cls.y_m = dict(cls.world.y_m)
 
     @classmethod
@@ -67,7 +68,7 @@ class VehicleFleetTest(unittest.TestCase):
     def on_controls(cls, message):
         """Record when the controllers send, and whether a truncated message came."""
         try:
-            controls = Controls().deserialize(message._buff)
+            controls = Controls().deserialize(message.raw)
         except DeserializationError:
             cls.torn = True
             return

@@ -3,8 +3,7 @@
 import struct
 
 import pytest
-import roslib.message
-from std_msgs.msg import Header, String, UInt32
+from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool
 
 from risc_msgs.msg import Control, Controls
@@ -12,7 +11,7 @@ from rosserial_msgs.msg import Log, TopicInfo
 from rosserial_msgs.srv import RequestParam, RequestParamRequest
 from rosserial_python import protocol
 from rosserial_python.protocol import ANNOUNCEMENTS, Id, PayloadError, Topic
-from rosserial_python.ros.definitions import TypesError, known_class, raw_class, read_message, serialised
+from rosserial_python.ros.definitions import TypesError, known_class, read_message, serialised
 
 MD5SUMS = {
     TopicInfo: "0ad51f88fc44892f8c10684077646005",
@@ -77,10 +76,3 @@ def test_a_payload_is_one_whole_message():
             read_message(Controls, wrong)
     with pytest.raises(PayloadError):
         read_message(String, struct.pack("<I", 100) + b"x")
-
-
-def test_a_raw_message_has_the_same_definition_and_is_not_looked_into():
-    kind = raw_class(UInt32)
-    assert (kind._type, kind._md5sum, kind._full_text) == (UInt32._type, UInt32._md5sum, UInt32._full_text)
-    assert kind().deserialize(b"\1\2\3\4").raw == b"\1\2\3\4"
-    assert roslib.message.get_message_class("std_msgs/UInt32") is UInt32

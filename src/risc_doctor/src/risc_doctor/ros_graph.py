@@ -11,6 +11,7 @@ from risc_control.vehicles import Status, adapter_class
 from risc_doctor.findings import RED, YELLOW, Findings
 from risc_lab.lab import fleet_from_dict
 from risc_lab.ros.publisher_updates import init_node
+from risc_lab.ros.raw_messages import raw_class
 
 LISTEN_S = 2.5  # diagnostics come once a second
 _PATIENCE_S = 6.0  # for connecting and listening
@@ -36,8 +37,8 @@ class Topic:
     heard: list[tuple[float, float]] = field(default_factory=list)  # (monotonic time of arrival, age) of each [s]
 
     def note(self, message):
-        """Record a message that begins with a header; the rest is not unpacked, to be fast enough."""
-        _, seconds, nanoseconds = _HEADER.unpack_from(message._buff)
+        """Record a raw message that begins with a header; the rest is not unpacked, to be fast enough."""
+        _, seconds, nanoseconds = _HEADER.unpack_from(message.raw)
         self.heard.append((time.monotonic(), time.time() - seconds - 1e-9 * nanoseconds))
 
     def sum_up(self):
@@ -117,7 +118,7 @@ def _listen(report, driven, lines, listen_s):
         report.vehicles[namespace] = status
 
     for name, topic in report.topics.items():
-        subscribe(name, rospy.AnyMsg, topic.note)
+        subscribe(name, raw_class(rospy.AnyMsg), topic.note)
     subscribe("/diagnostics", DiagnosticArray, on_diagnostics)
     for topic, node in lines.items():
         subscribe(topic, SerialLink, partial(report.lines.__setitem__, node))

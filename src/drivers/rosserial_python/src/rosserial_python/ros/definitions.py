@@ -1,6 +1,5 @@
 """Checks message definitions here against those that a device was built with; payloads to messages and back."""
 
-import functools
 import io
 
 import genpy
@@ -11,17 +10,6 @@ from rosserial_python.protocol import PayloadError
 
 class TypesError(ValueError):
     """A topic of the device cannot be connected to the graph: its definition is different here, or missing."""
-
-
-@functools.cache
-def raw_class(message_class):
-    """Return a variant of the class whose messages keep their bytes in `raw` and are not decoded."""
-
-    def deserialize(self, data):
-        self.raw = bytes(data)
-        return self
-
-    return type(message_class.__name__, (message_class,), {"__init__": lambda self: None, "deserialize": deserialize})
 
 
 def known_class(topic, half=None):

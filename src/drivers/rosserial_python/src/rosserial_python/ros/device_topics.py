@@ -18,12 +18,13 @@ import rospy
 from risc_lab.message_age import MessageAges
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.guard import guarded, subscribe
+from risc_lab.ros.raw_messages import raw_class
 from risc_lab.ros.until_shutdown import until_shutdown
 from rosserial_msgs.srv import RequestParamResponse
 from rosserial_python import protocol
 from rosserial_python.protocol import Id, PayloadError
 from rosserial_python.ros import services
-from rosserial_python.ros.definitions import TypesError, known_class, raw_class, read_message, serialised
+from rosserial_python.ros.definitions import TypesError, known_class, read_message, serialised
 
 _PUBLISHER_QUEUE = 10  # as in the original
 _BUFFER_BYTES = 2**18
