@@ -232,7 +232,8 @@ FLOORS = (  # of docs/architecture.md, from the ground; on one floor, a package 
     ("data_extraction", "risc_visual"),
     ("risc_experiments", "risc_doctor"),
 )
-SHARED = {"cortex_ros": {"wire"}, "drivers": {"msg", "srv", "protocol"}}  # but for messages and codecs of these
+# but for messages and codecs of these; the last two replace a driver in offline flights
+SHARED = {"cortex_ros": {"wire"}, "drivers": {"msg", "srv", "protocol", "navdata_message", "LOST_S"}}
 ROOMS = [room for floor in FLOORS for room in floor]
 
 
