@@ -7,7 +7,8 @@ LIMIT_S = 60.0  # for what happens within a second or two on a quiet computer
 
 def wait_for(condition, what="", limit_s=LIMIT_S):
     """Raises AssertionError when the condition does not come true. what: the condition, in words, or a function that
-    returns what there is instead."""
+    returns what there is instead.
+    """
     deadline_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > deadline_s:
