@@ -8,6 +8,7 @@ from ardrone_autonomy.video_clock import ExposureClock
 
 PERIOD_S = 1.0 / 30.0
 LATENCY_S = 0.12
+RESOLUTION_S = 0.0011  # of the aircraft's clock
 BOOT_S = 4321.0  # our time when the aircraft's clock read 0
 
 
@@ -35,7 +36,7 @@ def test_jitter_is_filtered_and_the_latency_taken_off():
     plain_s = flight.received_s - LATENCY_S - flight.exposure_s
     assert np.percentile(plain_s, 95) > 0.02  # the error of reception times alone
     error_s = flight.results(ExposureClock(LATENCY_S)) - flight.exposure_s
-    assert np.abs(error_s[30:]).max() < 0.002
+    assert np.abs(error_s[30:]).max() < RESOLUTION_S
 
 
 def test_without_a_latency_it_is_the_time_of_an_undisturbed_reception():
@@ -44,18 +45,18 @@ def test_without_a_latency_it_is_the_time_of_an_undisturbed_reception():
     assert np.abs(error_s[30:] - LATENCY_S).max() < 0.002
 
 
-@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+@pytest.mark.parametrize("drift", [-2.5e-4, -1e-4, 1e-4, 2.5e-4])
 def test_drift_of_the_aircrafts_clock_is_followed(drift):
-    flight = Flight(600.0, drift=drift)  # 60 ms in all
+    flight = Flight(600.0, drift=drift)  # up to 150 ms in all
     error_s = flight.results(ExposureClock(LATENCY_S)) - flight.exposure_s
-    assert np.abs(error_s[30:]).max() < 0.003
+    assert np.abs(error_s[30:]).max() < RESOLUTION_S
 
 
 def test_pictures_of_a_stall_get_their_own_times():
     flight = Flight(30.0, stalls=[(5.0, 0.4), (10.0, 1.5), (20.0, 3.0)])
     assert np.sum(np.diff(flight.received_s) == 0.0) > 100
     error_s = flight.results(ExposureClock(LATENCY_S)) - flight.exposure_s
-    assert np.abs(error_s[30:]).max() < 0.003
+    assert np.abs(error_s[30:]).max() < RESOLUTION_S
 
 
 def test_a_computer_that_is_busy_for_seconds_moves_no_picture():
@@ -65,7 +66,7 @@ def test_a_computer_that_is_busy_for_seconds_moves_no_picture():
     flight.received_s = np.maximum.accumulate(flight.received_s)
     clock = ExposureClock(LATENCY_S)
     error_s = flight.results(clock) - flight.exposure_s
-    assert np.abs(error_s[30:]).max() < 0.006  # the drift allowance for 15 s
+    assert np.abs(error_s[30:]).max() < RESOLUTION_S, "15 s of MAX_DRIFT are 0.0045"
     assert clock.restarts == 0
 
 
