@@ -229,8 +229,9 @@ LISTENER = """
 import sys
 import rospy
 from ardrone_autonomy.msg import Navdata
+from risc_lab.ros.publisher_updates import init_node
 
-rospy.init_node("patient", anonymous=True, disable_rostime=True)
+init_node("patient", anonymous=True, disable_rostime=True)
 for topic in sys.argv[1:]:
     rospy.wait_for_message(topic, rospy.AnyMsg)
 while not rospy.wait_for_message("/risc1/ardrone/navdata", Navdata).batteryPercent:

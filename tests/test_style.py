@@ -105,6 +105,13 @@ def test_one_file_asks_rospy_whether_it_closes():
     assert asking == ["until_shutdown.py"]
 
 
+def test_every_node_and_every_test_forgets_no_publisher():
+    """A plain rospy node may: see the file."""
+    plain = re.compile(r"^ *rospy\.init_node\(", re.MULTILINE)
+    paths = {*programs(), *(ROOT / "src").rglob("*.py"), *(ROOT / "tests").rglob("*.py")}
+    assert {path.name for path in paths if plain.search(path.read_text(encoding="utf-8"))} == {"publisher_updates.py"}
+
+
 def test_one_file_reads_who_sent_a_message():
     """rospy has no public name for it, so a new rospy may move it: what uses it asks `risc_lab.ros.sender`."""
     assert readers_of("_connection_header") == ["sender.py"]

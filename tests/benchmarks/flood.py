@@ -98,9 +98,10 @@ def main():
 
         import rospy  # with the environment above
 
+        from risc_lab.ros.publisher_updates import init_node
         from risc_maap_msgs.msg import MocapStatus
 
-        rospy.init_node("flood", disable_signals=True)
+        init_node("flood", disable_signals=True)
         newest = {"at": 0}
 
         def note(status):

@@ -26,6 +26,7 @@ import genpy
 import numpy as np
 import rospy
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import PpmStatus
 from risc_msgs.msg import Control, Controls
@@ -339,7 +340,7 @@ def graph(*nodes):
         for command in (["rosmaster", "--core", "-p", str(port)], *nodes):
             process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.DEVNULL))
             stack.callback(process.terminate)
-        rospy.init_node("serial_line_bench", disable_signals=True)
+        init_node("serial_line_bench", disable_signals=True)
         yield
         rospy.signal_shutdown("done")
 

@@ -19,6 +19,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from risc_lab.ros.launching import free_tcp_port
+from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import MocapStatus, MocapTime
 from risc_msgs.msg import Mocap_data
 
@@ -273,5 +274,5 @@ class StreamMarkersTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("stream_markers_test")
+    init_node("stream_markers_test")
     rostest.rosrun("cortex_ros", "stream_markers", StreamMarkersTest, sys.argv)

@@ -11,6 +11,8 @@ import rospy
 from rosgraph_msgs.msg import Clock
 from roslib.message import get_message_class
 
+from risc_lab.ros.publisher_updates import init_node
+
 
 def payload(tag, topic, number, size=0):
     """The text of one message."""
@@ -52,7 +54,7 @@ class Talker:
 
 
 if __name__ == "__main__":
-    rospy.init_node("talker", anonymous=True, disable_signals=True, disable_rosout=True)
+    init_node("talker", anonymous=True, disable_signals=True, disable_rosout=True)
     talker = Talker()
     for line in sys.stdin:
         talker.publish(**json.loads(line))

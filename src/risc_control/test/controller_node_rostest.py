@@ -15,6 +15,7 @@ from dynamic_reconfigure.client import Client
 from std_msgs.msg import Bool
 from unlearnt import UNLEARNT
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import ControllerReport
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
@@ -254,5 +255,5 @@ class ControllerNodeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("controller_node_test")
+    init_node("controller_node_test")
     rostest.rosrun("risc_control", "controller_node_test", ControllerNodeTest)

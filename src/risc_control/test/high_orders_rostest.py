@@ -15,6 +15,7 @@ from rospy.numpy_msg import numpy_msg
 from risc_control.delay_prediction import effective_delay_s
 from risc_control.vehicles import Command, ControlsConverter
 from risc_lab.lab import load_vehicle_type
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.states import S
 from risc_maap_msgs.msg import StateCovariance, StateCovariances, TrajectoryDerivatives
 from risc_msgs.msg import Controls, Cortex, States
@@ -98,5 +99,5 @@ class HighOrdersTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("high_orders_test")
+    init_node("high_orders_test")
     rostest.rosrun("risc_control", "high_orders_test", HighOrdersTest)

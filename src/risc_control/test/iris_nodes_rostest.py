@@ -16,6 +16,7 @@ from unlearnt import UNLEARNT
 
 from risc_control.vehicles.iris import hover_throttle
 from risc_lab.lab import load_vehicle_type
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase, VehicleStatus
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
@@ -168,5 +169,5 @@ class IrisNodesTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("iris_nodes_test")
+    init_node("iris_nodes_test")
     rostest.rosrun("risc_control", "iris_nodes_test", IrisNodesTest)

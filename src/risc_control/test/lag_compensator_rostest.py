@@ -8,6 +8,7 @@ import numpy as np
 import rospy
 import rostest
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.sender import sender
 from risc_lab.ros.testing import Listener, publishers_heard
 from risc_lab.testing import wait_for
@@ -64,5 +65,5 @@ class LagCompensatorTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("lag_compensator_test")
+    init_node("lag_compensator_test")
     rostest.rosrun("risc_control", "lag_compensator", LagCompensatorTest, sys.argv)

@@ -8,6 +8,7 @@ import io
 
 import rospy
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_msgs.msg import Control, Controls
 
 RATE_HZ = 30.0
@@ -23,7 +24,7 @@ class Torn(Controls):
 
 
 def main():
-    rospy.init_node("second_controller")
+    init_node("second_controller")
     publisher = rospy.Publisher("/controls", Controls, queue_size=1)
     template, hover_n = rospy.get_param("~template"), rospy.get_param("~hover_n")
     rate = rospy.Rate(RATE_HZ)

@@ -16,6 +16,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from risc_control.trajectory_manager import Phase
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
@@ -246,5 +247,5 @@ class TrajectoryNodeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("trajectory_node_test")
+    init_node("trajectory_node_test")
     rostest.rosrun("risc_control", "trajectory_node_test", TrajectoryNodeTest)

@@ -8,6 +8,7 @@ import rospy
 import rostest
 import tf2_ros
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_msgs.msg import Cortex, States
 
 PATIENCE_S = 60.0
@@ -63,5 +64,5 @@ class TransformsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("transforms_test")
+    init_node("transforms_test")
     rostest.rosrun("risc_control", "transforms_test", TransformsTest)

@@ -27,6 +27,7 @@ from vehicle_world import (
 )
 
 from risc_control.safety import SafetyLimits
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.raw_messages import raw_class
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import Safety
@@ -223,5 +224,5 @@ class VehicleFleetTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node(NAME[1:])
+    init_node(NAME[1:])
     rostest.rosrun("risc_control", "vehicle_fleet_test", VehicleFleetTest)

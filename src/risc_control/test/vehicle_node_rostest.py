@@ -36,6 +36,7 @@ from vehicle_world import (
 )
 
 from risc_control.ros.vehicle_node import SILENCE_S, VehicleNode
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import Safety, VehicleNodeStatus, VehicleStatus
 
@@ -339,5 +340,5 @@ class VehicleNodeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("vehicle_node_test")
+    init_node("vehicle_node_test")
     rostest.rosrun("risc_control", "vehicle_node_test", VehicleNodeTest)

@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import publishers_heard
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_angles, Observed_rois, Risc_roi, Risc_rois
@@ -31,7 +32,7 @@ def roi(name, x, y):
 class AngleEstimationNodeTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node(NAME)
+        init_node(NAME)
         cls.angles, cls.raw, cls.diagnostics = [], [], []
         cls.arrived = threading.Condition()
         cls.subscribers = [

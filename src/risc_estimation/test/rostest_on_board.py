@@ -15,6 +15,7 @@ from ardrone_autonomy.msg import Navdata
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros.fleet_messages import MocapArrays
+from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import CommandSent, CommandsSent, StateCovariances
 from risc_msgs.msg import Cortex
 
@@ -53,5 +54,5 @@ class OnBoardTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("on_board_test")
+    init_node("on_board_test")
     rostest.rosrun("risc_estimation", "on_board", OnBoardTest, sys.argv)

@@ -17,6 +17,7 @@ from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.ros.fleet_messages import MocapArrays
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import Listener, publishers_heard
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import BodyStatus, BodyStatuses, CommandSent, CommandsSent
@@ -161,5 +162,5 @@ class QuadEkfTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("quad_ekf_test")
+    init_node("quad_ekf_test")
     rostest.rosrun("risc_estimation", "quad_ekf", QuadEkfTest, sys.argv)

@@ -19,6 +19,7 @@ from std_msgs.msg import Header
 
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import publishers_heard
 from risc_maap_msgs.msg import BodyPoses, EstimatorStatus, UnidentifiedMarkers
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
@@ -33,7 +34,7 @@ PATIENCE_S = 60.0
 class StatesEstimationNodeTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node(NAME)
+        init_node(NAME)
         cls.templates = load_templates()
         cls.states, cls.landmarks, cls.statuses = [], [], []
         cls.arrived = threading.Condition()

@@ -9,6 +9,7 @@ import unittest
 import rospy
 import rostest
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import publishers_heard
 from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
 
@@ -22,7 +23,7 @@ YAW_RATE_DEG = 4.0
 
 class SyntheticAnglesNodeTest(unittest.TestCase):
     def setUp(self):
-        rospy.init_node(NAME)
+        init_node(NAME)
         self.kept = []
         self.arrived = threading.Condition()
         self.subscriber = rospy.Subscriber("/angles_synthetic", Observed_angles, self.keep)

@@ -13,6 +13,7 @@ from std_msgs.msg import Bool, Empty, Float32MultiArray, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States
@@ -209,5 +210,5 @@ class OperatorTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("operator_test")
+    init_node("operator_test")
     rostest.rosrun("risc_experiments", "operator_test", OperatorTest)

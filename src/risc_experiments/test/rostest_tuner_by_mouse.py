@@ -24,6 +24,7 @@ from risc_lab.camera import rotation_camera_to_body
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
 from risc_lab.lab.yaml_reader import package_file
+from risc_lab.ros.publisher_updates import init_node
 from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
 from risc_visual.drawing.palette import ray_colours
 from risc_visual.pictures.captions import DARK
@@ -69,7 +70,7 @@ class TunerByMouseTest(unittest.TestCase):
         missing = missing_programs("rviz", "xdotool")
         if missing:
             raise unittest.SkipTest("not installed: " + ", ".join(missing))
-        rospy.init_node(NAME)
+        init_node(NAME)
         cls.frames = tf2_ros.Buffer()
         cls.listener = tf2_ros.TransformListener(cls.frames)
         cls.states = rospy.Publisher("/cortex_raw", Cortex, queue_size=10, tcp_nodelay=True)

@@ -12,6 +12,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import BoardMotion, FaultKinds, Faults
 from risc_maap_msgs.srv import InjectFault, PutBack
 from risc_msgs.msg import Cortex
@@ -172,5 +173,5 @@ class VirtualLabTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("virtual_lab_rostest")
+    init_node("virtual_lab_rostest")
     rostest.rosrun("risc_simulator", "virtual_lab_rostest", VirtualLabTest)

@@ -21,6 +21,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from risc_control.ros.joystick_buttons import claim_buttons
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
@@ -179,5 +180,5 @@ class DFPlotsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node(NAME)
+    init_node(NAME)
     rostest.rosrun(PACKAGE, NAME, DFPlotsTest)

@@ -16,6 +16,7 @@ from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
+from risc_lab.ros.publisher_updates import init_node
 from risc_maap_msgs.msg import Safety, VehicleStatus
 from risc_msgs.msg import (
     Angle,
@@ -68,7 +69,7 @@ def displays():
 class DrawNodesTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node(NAME)
+        init_node(NAME)
         cls.lock = threading.Lock()
         cls.received = {}
         cls.publishers = {topic: rospy.Publisher(topic, kind, queue_size=10) for topic, kind in INPUTS.items()}

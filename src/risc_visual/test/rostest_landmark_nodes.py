@@ -18,6 +18,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
+from risc_lab.ros.publisher_updates import init_node
+
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 from disc_pictures import camera, exposed, paint_disc, wall
 
@@ -50,7 +52,7 @@ def scene():
 class LandmarkNodesTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node(NAME)
+        init_node(NAME)
         cls.bridge = CvBridge()
         cls.lock = threading.Lock()
         cls.rois, cls.exact, cls.quads, cls.logged, cls.health = [], [], [], [], {}

@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
 from risc_lab.ros.launching import free_tcp_port
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import (
     ControllerReport,
@@ -304,5 +305,5 @@ class LiveViewTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("live_view_test")
+    init_node("live_view_test")
     rostest.rosrun("risc_visual", "live_view_test", LiveViewTest)

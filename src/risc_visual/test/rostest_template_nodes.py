@@ -21,6 +21,7 @@ from sensor_msgs.msg import CompressedImage, Image, RegionOfInterest
 
 from ardrone_autonomy.msg import Navdata
 from risc_lab.images import picture_from_msg
+from risc_lab.ros.publisher_updates import init_node
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_visual"
@@ -307,5 +308,5 @@ class TemplateNodesTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node(NAME)
+    init_node(NAME)
     rostest.rosrun(PACKAGE, NAME, TemplateNodesTest)

@@ -30,6 +30,7 @@ from visualization_msgs.msg import (
 from risc_lab.camera import rotation_camera_to_body
 from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount, load_mount
 from risc_lab.lab.fleet import FleetVehicle, Start
+from risc_lab.ros.publisher_updates import init_node
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, numbers_of
 from risc_visual.tuner.ros.mount_marker import numbers_from_pose, pose_of
@@ -59,7 +60,7 @@ def flying(t_s):
 class TransformTunerTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node(NAME)
+        init_node(NAME)
         cls.folder = pathlib.Path(rospy.get_param("/files"))
         cls.folder.mkdir()
         cls.path = cls.folder / "mount.yaml"

@@ -25,6 +25,7 @@ from ardrone_autonomy.msg import Navdata, navdata_demo, navdata_magneto
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.navdata import ControlState, Tag
 from ardrone_autonomy.srv import CamSelect, FlightAnim, LedAnim, RecordEnable
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import LIMIT_S, wait_for
 
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between publishing and counting
@@ -375,5 +376,5 @@ def all_tests():
 
 
 if __name__ == "__main__":
-    rospy.init_node("driver_test", anonymous=True)
+    init_node("driver_test", anonymous=True)
     rostest.rosrun("ardrone_autonomy", "ardrone_driver", "driver_rostest.all_tests", sys.argv)

@@ -26,6 +26,7 @@ from std_srvs.srv import Empty as EmptySrv
 from ardrone_autonomy.protocol.navdata import ControlState
 from ardrone_autonomy.srv import CamSelect, RecordEnable
 from risc_lab.lab.calibration import CameraCalibration, read_calibration, save_calibration
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import LIMIT_S, wait_for
 
 FRONT_FRAME, BOTTOM_FRAME = "lab/ardrone_base_frontcam", "lab/ardrone_base_bottomcam"
@@ -308,5 +309,5 @@ class VideoTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("ardrone_video_test")
+    init_node("ardrone_video_test")
     rostest.rosrun("ardrone_autonomy", "ardrone_video", VideoTest)

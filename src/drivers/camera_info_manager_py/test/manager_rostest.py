@@ -14,6 +14,7 @@ from sensor_msgs.srv import SetCameraInfo
 
 from camera_info_manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError
 from risc_lab.lab.calibration import read_calibration
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import publishers_heard
 
 LIMIT_S = 60.0
@@ -143,5 +144,5 @@ class ManagerTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("camera_info_manager_test")
+    init_node("camera_info_manager_test")
     rostest.rosrun("camera_info_manager_py", "camera_info_manager", ManagerTest)

@@ -14,6 +14,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import Listener, publishers_heard, wait_for
 
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80
@@ -90,5 +91,5 @@ class JoyNodeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("joy_node_test")
+    init_node("joy_node_test")
     rostest.rosrun("joy", "joy_node_test", JoyNodeTest)

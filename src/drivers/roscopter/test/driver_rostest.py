@@ -21,6 +21,7 @@ from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Empty as EmptySrv
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import LIMIT_S, NodeProcess, wait_for
 from roscopter import msg
 from roscopter.srv import APMCommand, APMCommandRequest, SendWaypoint, SendWaypointList
@@ -301,5 +302,5 @@ class DriverTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("driver_rostest")
+    init_node("driver_rostest")
     rostest.rosrun("roscopter", "driver", DriverTest, sys.argv)

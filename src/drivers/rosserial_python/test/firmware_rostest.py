@@ -18,6 +18,7 @@ from node_process import LATE_S, Node
 from scripted_device import PseudoTerminal
 from std_msgs.msg import Header
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
 from risc_maap_msgs.msg import PpmStatus, SerialLink
 from risc_msgs.msg import Control, Controls
@@ -186,5 +187,5 @@ class FirmwareTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("firmware_rostest")
+    init_node("firmware_rostest")
     rostest.rosrun("rosserial_python", "firmware", FirmwareTest, sys.argv)

@@ -25,6 +25,7 @@ from scripted_device import BUFFER_BYTES, Board, Listener, PseudoTerminal, seria
 from std_msgs.msg import Header, String, UInt32
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerResponse
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import LIMIT_S, wait_for
 from risc_maap_msgs.msg import SerialLink
 from risc_msgs.msg import Control, Controls
@@ -450,5 +451,5 @@ class SerialNodeTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("serial_node_rostest")
+    init_node("serial_node_rostest")
     rostest.rosrun("rosserial_python", "serial_node", SerialNodeTest, sys.argv)

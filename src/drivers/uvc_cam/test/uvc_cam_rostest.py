@@ -18,6 +18,7 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
+from risc_lab.ros.publisher_updates import init_node
 from risc_lab.ros.testing import LIMIT_S, Listener
 
 COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]  # blue green red
@@ -145,5 +146,5 @@ class UvcCamTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("uvc_cam_test")
+    init_node("uvc_cam_test")
     rostest.rosrun("uvc_cam", "uvc_cam_test", UvcCamTest)

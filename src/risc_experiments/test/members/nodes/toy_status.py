@@ -6,7 +6,9 @@ import socket
 import rospy
 from std_msgs.msg import Float32MultiArray
 
-rospy.init_node("toy_status")
+from risc_lab.ros.publisher_updates import init_node
+
+init_node("toy_status")
 publisher = rospy.Publisher("toy/status", Float32MultiArray, queue_size=10)
 sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 sock.settimeout(0.5)
