@@ -42,6 +42,8 @@ class Firmware {
 
   State state() const { return sticks_.state(); }
 
+  uint32_t accepted() const { return accepted_; }  // messages since the reset
+
   bool led_is_on(uint32_t now_ms) const {
     const bool refusing = refused_ > 0 && now_ms - refused_ms_ < 1000;
     return dueppm::led_is_on(sticks_.state(), device_.configured(), refusing, now_ms);

@@ -61,7 +61,9 @@ class Board {
         incoming_.pop_front();
         line_free_ = next + kByteTicks;
         next_byte_in_ = incoming_.empty() ? kNever : line_free_;
+        const uint32_t before = firmware_.accepted();
         firmware_.receive(byte, now_ms());
+        if (firmware_.accepted() != before) accepted_ = next;
         loop();
       } else if (next == next_byte_out_) {
         sent_.push_back(outgoing_.front());
@@ -77,6 +79,7 @@ class Board {
 
   std::deque<uint8_t>& sent() { return sent_; }
   std::deque<dueppm_edge>& edges() { return edges_; }
+  uint64_t accepted() const { return accepted_; }
 
  private:
   using Firmware = dueppm::Firmware<Configuration>;
@@ -118,6 +121,7 @@ class Board {
   uint64_t next_byte_in_ = kNever;
   uint64_t next_byte_out_ = kNever;
   uint64_t next_loop_ = 0;
+  uint64_t accepted_ = 0;
   uint64_t line_free_ = 0;  // when the next incoming byte may be complete
   std::deque<uint8_t> incoming_;
   std::deque<uint8_t> outgoing_;
@@ -157,6 +161,10 @@ size_t dueppm_send(void* board, uint8_t* bytes, size_t most) {
 
 void dueppm_advance(void* board, uint64_t time_us) {
   of(board).advance(time_us * kTicksPerUs);
+}
+
+uint64_t dueppm_accepted(void* board) {
+  return of(board).accepted();
 }
 
 size_t dueppm_edges(void* board, struct dueppm_edge* edges, size_t most) {

@@ -25,6 +25,8 @@ void dueppm_receive(void* board, const uint8_t* bytes, size_t count);
 size_t dueppm_send(void* board, uint8_t* bytes, size_t most);
 /* Runs loop() and the timer's interrupt up to that time. */
 void dueppm_advance(void* board, uint64_t time_us);
+/* Time [ticks] at which the newest accepted message was complete; 0: none yet. */
+uint64_t dueppm_accepted(void* board);
 /* Takes up to `most` edges of the output, oldest first; returns their number. If edges are not taken, the
  * newest 4096 are kept. */
 size_t dueppm_edges(void* board, struct dueppm_edge* edges, size_t most);

@@ -708,6 +708,19 @@ def heard(t_s, order, vehicle="risc1"):
     return "/virtual_lab/told", message, T0_S + t_s
 
 
+def test_of_a_virtual_vehicle_it_is_the_time_at_which_it_receives_the_command(play):
+    """Its driver sends it on. A command that another vehicle receives, or that came before, is another one."""
+    times_s = {"risc1": (3.05, 3.11, 3.125, 3.16), "risc2": (3.121, 3.1995)}
+    came = [
+        ("/virtual_lab/inputs", *heard(t_s, Told.FLY, vehicle)[1:]) for vehicle in times_s for t_s in times_s[vehicle]
+    ]
+    rows = (sent(3.12, Safety.HOLD), sent(3.2, Safety.HOLD, "albatross"), sent(3.3, Safety.LAND, "albatross"))
+    faults = flown(play, told(fault(1, 3.0), t_s=3.0), *sorted((*rows, *came), key=lambda row: row[2]))
+    assert faults.outcomes[0].reactions_s == pytest.approx({"risc1": 0.125, "risc2": 0.1995}, abs=1e-6)
+    unheard = flown(play, told(fault(1, 3.0), t_s=3.0), came[0], *rows)
+    assert "risc1" not in unheard.outcomes[0].reactions_s, "the link was cut"
+
+
 def test_so_is_the_first_order_to_hover_or_to_land_that_the_vehicle_hears(play):
     """The order comes from a program between the ladder and the vehicle, when the ladder's program has died."""
     faults = flown(

@@ -769,6 +769,15 @@ def test_an_empty_battery_lands_and_does_not_take_off_again(lab):
 # ------------------------------------------------------------------ radio
 
 
+def test_the_time_of_other_sticks_is_noted_when_they_come(fake_lab):
+    lab = fake_lab()
+    for sequence, gaz, is_other in ((100, 0.1, True), (101, 0.1, False), (102, 0.2, True), (101, 0.3, False)):
+        began_s = lab.now_s
+        lab.client.raw(b"AT*PCMD=%d,1,0,0,%d,0\r" % (sequence, bits(gaz)))
+        lab.run(0.1)
+        assert (began_s < lab.host.inputs_s < began_s + 0.05) is is_other, sequence
+
+
 def test_commands_take_effect_on_the_30_hz_grid_one_delay_later(fake_lab):
     lab = fake_lab(FakeVehicle(delay_s=0.12))
     sent = {}

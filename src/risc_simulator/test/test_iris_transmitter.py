@@ -242,6 +242,11 @@ def test_a_message_is_in_the_frames_after_its_way_over_the_line(desk):
     desk.run(0.1)
     first_s = min(begin / (1e6 * TICKS_PER_US) for begin, us in desk.frames if us[2] == 1275)
     assert began + 0.7 * LINE_S < first_s < began + LINE_S + 0.021
+    assert began + 0.7 * LINE_S < desk.board.accepted_s() <= first_s
+    accepted_s = desk.board.accepted_s()
+    desk.board.receive(controls(throttle=2.0))
+    desk.run(0.1)
+    assert desk.board.accepted_s() == accepted_s, "out of range"
 
 
 def test_two_boards_have_nothing_in_common(desk):

@@ -273,11 +273,17 @@ class VehicleHost(SocketHost):
         super().__init__(vehicle.namespace, wires)
         self._vehicle = vehicle
         self.told, self.told_s = Told.NOTHING, -math.inf  # newest order that the type can distinguish; since when
+        self._inputs, self.inputs_s = None, -math.inf  # what it was sent last to fly by; since when
 
     def note_told(self, told, now_s):
         """Note the order that the vehicle receives now."""
         if told is not self.told:
             self.told, self.told_s = told, now_s
+
+    def note_inputs(self, inputs, now_s):
+        """Note the sticks, or what takes their place, that the vehicle receives now."""
+        if inputs != self._inputs:
+            self._inputs, self.inputs_s = inputs, now_s
 
     def attach_video(self, video):
         """video: video.server.Station, which serves the video clients; the host passes its configuration on to it."""

@@ -3,7 +3,9 @@
 What happens from the start of a fault to the start of the next one is attributed to the first.
 """
 
+import bisect
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +19,8 @@ from risc_lab.phases import OperatorPhase, OperatorResult, OutCause
 LANDED_HEIGHT_M = 0.15  # a vehicle on the ground is not higher
 FALL_M_S = 2.0  # no vehicle descends this fast on purpose
 _NEVER_S = math.inf
-TOLD = "/virtual_lab/told"
+TOLD, INPUTS = "/virtual_lab/told", "/virtual_lab/inputs"
+_SOONER_S = 0.001  # a command may reach the vehicle before its node has noted when it sent it
 FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
 
 
@@ -37,8 +40,8 @@ class FaultOutcome:
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
     is_safe: bool  # its record lists that outcome as safe, and no two vehicles touched
-    # namespace -> time from its begin to the first command sent to the vehicle with a higher failsafe level than
-    # before, or to the first order to hover or to land that it received, e.g. from its driver
+    # namespace -> time from its begin to the first command with a higher failsafe level than before, or to the first
+    # order to hover or to land, e.g. by its driver: when it reached a virtual vehicle, else when it was sent
     reactions_s: dict[str, float]
     flying: int  # how many vehicles flew when it began
 
@@ -120,7 +123,7 @@ class FaultCollector(Collector):
     """Keeps faults, changes of failsafe levels, crashes; its memory grows with their number only."""
 
     topics = (
-        *FAULT_TOPICS, "/virtual_lab/crash", TOLD, "/ground_truth", "/commands_sent", "/operator/phase",
+        *FAULT_TOPICS, "/virtual_lab/crash", TOLD, INPUTS, "/ground_truth", "/commands_sent", "/operator/phase",
         "/operator/result",
     )  # fmt: skip
     ends = ("/safety",)
@@ -134,6 +137,7 @@ class FaultCollector(Collector):
         self._began = {}  # (topic, id) -> when it began
         self._levels = {}  # (topic, vehicle) -> its level
         self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # levels reported, sent, received
+        self._inputs_s = defaultdict(list)  # vehicle -> when it received other inputs than before
         self._hurt_s = []  # when a vehicle touched something, left the net, or fell
         self._contacts_s = []  # when two touched each other
         self._hurt = set()  # vehicles that are outside, or falling
@@ -162,6 +166,8 @@ class FaultCollector(Collector):
                 self._note_level(topic, vehicle, getattr(command, "level", 0), seconds(command.sent))
         elif topic == TOLD:
             self._note_level(topic, message.vehicle, _LEVELS[message.order], seconds(message.header.stamp))
+        elif topic == INPUTS:
+            self._inputs_s[message.vehicle].append(seconds(message.header.stamp))
         elif topic == "/virtual_lab/crash":
             self._hurt_s.append(seconds(message.header.stamp))
             if message.other:
@@ -220,6 +226,14 @@ class FaultCollector(Collector):
         waiting = len(self._faults) - len(outcomes)
         return Faults(outcomes, waiting, self._course_s, dict(self._out), left_ok_s, set(self._kept_apart))
 
+    def _received(self, sent):
+        """A _Change of the commands sent, with the time at which it reached a virtual vehicle; infinite: it did not."""
+        inputs_s = self._inputs_s.get(sent.vehicle)
+        if not inputs_s:
+            return sent
+        index = bisect.bisect_left(inputs_s, sent.time_s - _SOONER_S)
+        return sent._replace(time_s=inputs_s[index] if index < len(inputs_s) else _NEVER_S)
+
     def _judge(self, record, begin_s, begins_s):
         """FaultOutcome of a FaultRecord. begins_s: of all faults."""
         until_s = min((other_s for other_s in begins_s if other_s > begin_s), default=_NEVER_S)
@@ -240,7 +254,8 @@ class FaultCollector(Collector):
             outcome = "held" if any(at_last.values()) else "completed"
         reactions_s = {}
         came = [change for change in self._changes[TOLD] if change.time_s < said_until_s]
-        for change in sorted(self._changes["/commands_sent"] + came):
+        came += map(self._received, self._changes["/commands_sent"])
+        for change in sorted(came):
             if change.is_rise and begin_s <= change.time_s < until_s:
                 reactions_s.setdefault(change.vehicle, change.time_s - begin_s)
         return FaultOutcome(

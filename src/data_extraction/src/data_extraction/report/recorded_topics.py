@@ -29,6 +29,7 @@ TYPES = {
     "/virtual_lab/faults": "Faults",
     "/program_faults": "Faults",
     "/virtual_lab/told": "Told",
+    "/virtual_lab/inputs": "Told",
     "/virtual_lab/crash": "Crash",
     "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",

@@ -116,6 +116,8 @@ class VirtualLabNode:
         self._crashes = rospy.Publisher("/virtual_lab/crash", Crash, queue_size=50)
         self._told = rospy.Publisher("/virtual_lab/told", Told, queue_size=100)
         self._told_last = {}  # namespace -> socket_host.Told
+        self._inputs = rospy.Publisher("/virtual_lab/inputs", Told, queue_size=100)
+        self._inputs_last_s = {}  # namespace -> VehicleHost.inputs_s
         self._faults = rospy.Publisher("/virtual_lab/faults", Faults, queue_size=50, latch=True)
         kinds = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
         kinds.publish(fault_kinds())
@@ -147,18 +149,21 @@ class VirtualLabNode:
                 self._send(self._crashes, told)
         for namespace, host in self._lab.vehicle_hosts.items():
             if host.told is not self._told_last.get(namespace):
-                self._tell_told(namespace, host)
+                self._told_last[namespace] = host.told
+                self._tell(self._told, namespace, host.told, host.told_s)
+            if host.inputs_s != self._inputs_last_s.get(namespace, -math.inf):
+                self._inputs_last_s[namespace] = host.inputs_s
+                self._tell(self._inputs, namespace, host.told, host.inputs_s)
         if self._lab.injector.changes != self._fault_changes:
             self._fault_changes = self._lab.injector.changes
             self._publish_faults()
         if self._publisher.get_num_connections():
             self._publish()
 
-    def _tell_told(self, namespace, host):
-        self._told_last[namespace] = host.told
-        message = Told(vehicle=namespace, order=host.told)
-        message.header.stamp = rospy.Time.from_sec(max(0.0, rospy.get_time() - self._lab.now_s() + host.told_s))
-        self._send(self._told, message)
+    def _tell(self, publisher, namespace, order, lab_s):
+        message = Told(vehicle=namespace, order=order)
+        message.header.stamp = rospy.Time.from_sec(max(0.0, rospy.get_time() - self._lab.now_s() + lab_s))
+        self._send(publisher, message)
 
     def _publish(self):
         age_s = self._lab.now_s() - self._lab.exposure_s

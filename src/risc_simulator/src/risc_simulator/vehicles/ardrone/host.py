@@ -302,6 +302,7 @@ class ArdroneHost(VehicleHost):
         sticks = [min(1.0, max(-1.0, value)) for value in sticks]
         sticks += [0.0] * (6 - len(sticks))
         self._told_flags = flags
+        self.note_inputs((flags, *sticks), now_s)
         self._radio.submit(now_s, Sticks(flags, *sticks, command.sequence, now_s))
 
     def _note_told(self, now_s):

@@ -89,6 +89,9 @@ class IrisHost(VehicleHost):
             self.wires.release(now_s)
         board = self._board
         board.advance(now_s)
+        accepted_s = board.accepted_s()
+        if accepted_s > 0.0:
+            self.note_inputs(accepted_s, accepted_s)
         for begin_ticks, channels_us in self.receiver.feed(board.edges(), now_s * _TICKS_PER_S):
             self._radio_frame(begin_ticks / _TICKS_PER_S, channels_us)
         data = board.sent()

@@ -47,6 +47,7 @@ def _load():
         ("receive", None, board, ctypes.c_char_p, size),
         ("send", size, board, ctypes.c_char_p, size),
         ("advance", None, board, ctypes.c_uint64),
+        ("accepted", ctypes.c_uint64, board),
         ("edges", size, board, ctypes.POINTER(_Edge), size),
     ):
         function = getattr(library, "dueppm_" + name)
@@ -79,6 +80,10 @@ class Board:
         """Bytes that it has sent since the last call."""
         count = self._library.dueppm_send(self._board, self._bytes, _BYTES_PER_CALL)
         return self._bytes.raw[:count] if count else b""
+
+    def accepted_s(self):
+        """When the newest message that it accepted was complete [s]; 0: none yet."""
+        return self._library.dueppm_accepted(self._board) / (1e6 * TICKS_PER_US)
 
     def edges(self):
         """[(time [ticks], level)] of its output since the last call."""
