@@ -190,8 +190,8 @@ class ControllerNodeTest(unittest.TestCase):
             self.assertGreater(controls["albatross"].theta, 0.02)
 
     def test_who_has_no_reference_gets_no_command(self):
-        """As when the trajectory node dies: silence is what the vehicle node's loss ladder acts on. A node with a long
-        `reference_timeout` flies on.
+        """As when the trajectory node dies: silence is what the vehicle node's safety ladder acts on. A node with a
+        long `reference_timeout` flies on.
         """
         self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))
         self.lab.referenced = ("albatross",)

@@ -1,4 +1,4 @@
-"""risc_control.failsafe: every rule of the loss ladder, on a clock that the test advances."""
+"""risc_control.failsafe: every rule of the safety ladder, on a clock that the test advances."""
 
 import dataclasses
 import math

@@ -28,7 +28,7 @@ class Sky:
         self.places = dict(places)
         self.velocities = dict.fromkeys(places, AT_REST)
         self.references, self.speeds, self.turns = {}, {}, {}  # {name: place, velocity, acceleration}
-        self.hidden = set()
+        self.hidden, self.standing = set(), set()
         self.now_s = 100.0
         self.order = list(places)
         own, fleet = own or tuple(places), tuple(places) if fleet is None else fleet
@@ -52,6 +52,7 @@ class Sky:
             for separation in self.separations:
                 separation.see(names, visible, states, self.now_s)
                 separation.refer(referred, derivatives, self.now_s)
+                separation.tell((), self.standing)
                 looks.append(separation.look(self.now_s + 0.004))
         for name, alone in zip(self.own, looks[1:]):
             assert alone.get(name, ALONE) == looks[0].get(name, ALONE), "every node comes to the same result"
@@ -333,6 +334,17 @@ def test_one_that_was_lost_on_the_floor_is_no_reason():
     sky.look()
     sky.hidden = {"albatross"}
     assert not near(sky.look(1.0))
+
+
+def test_one_that_is_not_seen_and_reports_that_it_stands_is_no_reason():
+    sky = pair(NEAR_M - 0.1)
+    sky.standing = {"albatross"}
+    assert near(sky.look()) == set(NAMES[:2]), "what is seen counts more"
+    sky.hidden = {"albatross"}
+    assert not near(sky.look(1.0))
+    assert sky.look()["fluffy_II"].above, "it must not be landed on"
+    sky.standing = set()
+    assert near(sky.look()) == {"fluffy_II"}, "it takes off again"
 
 
 def test_an_own_vehicle_that_is_not_seen_has_its_own_reason():

@@ -43,6 +43,7 @@ class Desk(JoystickDesk):
         self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)
         self.flight_state = FlightState.LANDED
         self.battery = 90.0
+        self.sensed = dict  # further fields of its Status
         self.state, self.look, self.suspect = LEVEL, ALONE, ""
         self.control = Controls(0.0, 0.0, 0.0, HOVER_N)
         self.alive = {"state", "controls", "navdata"}
@@ -67,7 +68,8 @@ class Desk(JoystickDesk):
             if "controls" in self.alive:
                 self.take(self.pilot.on_controls(self.control, 1e9 + self.now_s, 0.005, self.now_s))
             if "navdata" in self.alive and self._step % 4 == 0:
-                self.take(self.pilot.on_status(Status(self.flight_state, self.battery), self.now_s))
+                status = Status(self.flight_state, self.battery, **self.sensed())
+                self.take(self.pilot.on_status(status, self.now_s))
             if "joystick" in self.alive and self._step % 10 == 0:
                 self.repeat()
             if self._step % 3 == 0:
@@ -170,11 +172,22 @@ def test_preflight_checks_let_take_off_what_is_ready():
     desk = Desk(preflight=True, preflight_markers=3)
     desk.pilot.on_markers(3, 4)
     assert desk.press(TAKEOFF_LAND).takeoff
+    for needed in (False, True):
+        desk = Desk(preflight=True)
+        params = VehicleNodeParams(joystick_timeout=0.0, preflight_controller=needed)
+        desk.pilot = VehiclePilot(params, ARDRONE, desk.now_s)
+        desk.alive.discard("controls")  # no controller was heard: it is flown by hand
+        desk.run(0.5)
+        orders = desk.press(TAKEOFF_LAND)
+        assert orders.takeoff is not needed
+        assert ("no controller was heard" in texts(orders)) is needed
+        desk.alive.add("controls")
+        desk.run(0.5)
+        assert needed is False or desk.press(TAKEOFF_LAND).takeoff
     desk = Desk(preflight=True)
-    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0), ARDRONE, desk.now_s)
-    desk.alive.discard("controls")  # no controller was heard: it is flown by hand
-    desk.run(0.5)
-    assert desk.press(TAKEOFF_LAND).takeoff
+    desk.pilot.disagreement = "the full scales differ"
+    orders = desk.press(TAKEOFF_LAND)
+    assert not orders.takeoff and desk.pilot.disagreement in texts(orders)
     desk = Desk(preflight=True)
     desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0), ARDRONE, desk.now_s)
     desk.alive.discard("state")
@@ -431,6 +444,29 @@ def test_needs_landing_until_it_reports_that_it_lands():
     desk.alive.remove("navdata")
     desk.run(1.1)
     assert desk.pilot.needs_landing(desk.now_s), "an old report"
+
+
+@pytest.mark.parametrize("limits", [{}, {"navdata_timeout_s": 0.0}])
+def test_reports_that_repeat_themselves_are_no_reports(limits):
+    desk = Desk(**limits).fly(autonomous=True)
+    for velocity in (lambda: (0.001 * desk.now_s, 0.0), lambda: (0.0, 0.0)):  # it moves; a model at rest
+        desk.sensed = lambda velocity=velocity: {"velocity_m_s": velocity()}
+        desk.run(3.0)
+        assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
+    desk.sensed = lambda: {"velocity_m_s": (0.01, 0.0)}
+    desk.run(0.9)
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
+    desk.run(0.3)
+    lands = desk.pilot.ladder.verdict.level == FailsafeLevel.LAND
+    assert lands is not bool(limits)
+    assert ("navdata the same for 1.0 s" in desk.pilot.ladder.verdict.reason) is lands
+
+
+def test_a_vehicle_that_stands_may_repeat_itself():
+    desk = Desk()
+    desk.sensed = lambda: {"velocity_m_s": (0.3, 0.0)}
+    desk.run(3.0)
+    assert desk.press(TAKEOFF_LAND).takeoff
 
 
 @pytest.mark.parametrize("limits", [{}, {"battery_min_pct": 0.0}])
@@ -708,7 +744,7 @@ def test_climb_ahead_without_commands_decays():
     assert climb_ahead(0.6, 5.0, 5.1, nothing, 0.1, 0.3) == pytest.approx(0.6 * math.exp(-1.0 / 3.0))
 
 
-# --- loss ladder -----------------------------------------------------------------------------------------------------
+# --- safety ladder ---------------------------------------------------------------------------------------------------
 
 
 def test_loss_of_states_holds_then_lands_then_rests():
@@ -785,8 +821,8 @@ def test_its_own_velocity_counts_where_its_bottom_camera_sees_the_floor(sees_the
     desk.state = LEVEL._replace(velocity_m_s=(0.25, 0.0, 0.0))
     desk.run(0.2)
     desk.alive.remove("state")
-    for _ in range(30):
-        report = status(SimpleNamespace(state=FlightState.FLYING, batteryPercent=90.0, vx=1.0, vy=-1.0))
+    for k in range(30):
+        report = status(SimpleNamespace(state=FlightState.FLYING, batteryPercent=90.0, vx=1.0 + 0.01 * k, vy=-1.0))
         desk.pilot.on_status(report, desk.now_s)
         desk.run(0.005)
     told = [sticks for _, sticks, _ in desk.run(0.3)]

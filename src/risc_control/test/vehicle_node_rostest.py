@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The vehicle node on its topics: names, take-off and landing, command mapping, loss ladder, shutdown.
+"""The vehicle node on its topics: names, take-off and landing, command mapping, safety ladder, shutdown.
 
 Thresholds and pacing are checked exactly by test_failsafe.py and test_vehicle_node_pilot.py, on a clock that the test
 advances. Here things must happen at all, in the right order, with the right content: the computer may be slow or stall.

@@ -21,7 +21,7 @@ PASSING = {  # the flight goes on; faults one after another, each judged until t
     ),
     "vehicles, links and hosts": (
         "wind:2,duration_s=2@0 gust:4,duration_s=2@2.5 added_mass:0.2,duration_s=2@5 link_slow:0.1,duration_s=1@7.5 "
-        "link_blackhole:0.5@9 navdata_freeze:2@10.5 battery_low:14@12.5 battery_failing:1,duration_s=2@13.5 "
+        "link_blackhole:0.5@9 navdata_freeze:0.7@10.5 battery_low:14@12.5 battery_failing:1,duration_s=2@13.5 "
         "mocap_blackout:0.3@15.5 host_restart:0.3@17 bare_floor:2@18.5"
     ),
 }
@@ -126,6 +126,21 @@ def test_without_a_watchdog_the_ladder_lands_it(fault, types, ladder, monkeypatc
         monkeypatch.setattr("risc_simulator.vehicles." + name, off)
     result = flown([fault + "@1"], types, seed=3, longer_s=15.0, node={"ladder": ladder})
     assert [outcome.outcome for outcome in result.faults] == [LAND_BY_THEMSELVES[fault][0 if ladder else 1]]
+
+
+@pytest.mark.parametrize("timeout_s", [1.0, 0.0])
+@pytest.mark.parametrize("other", ["", "mocap_blackout:3@1.5", "battery_low:8@1.5"])
+def test_reports_that_repeat_themselves_land_it(other, timeout_s, monkeypatch):
+    """They contain the velocity that holds it without motion capture, and its charge. In the control arm repeated
+    reports count as reports.
+    """
+    monkeypatch.setattr("risc_simulator.vehicles.ardrone.firmware.EMPTY_BATTERY_PCT", -1.0)
+    result = flown(["navdata_freeze:10@1", *other.split()], ("ardrone",), node={"navdata_timeout_s": timeout_s})
+    blind = other.startswith("mocap")  # and lands for that
+    assert result.faults[-1].outcome == ("landed" if timeout_s > 0.0 or blind else "completed")
+    assert all(fault.safe for fault in result.faults) and not result.breaches
+    told = any("navdata the same for 1.0 s" in text for _, _, text in result.safety)
+    assert told is (timeout_s > 0.0 and not blind)
 
 
 @pytest.mark.parametrize("fault, types", [*MENDED, pytest.param("marker_swap:3", ("iris",), marks=pytest.mark.release)])

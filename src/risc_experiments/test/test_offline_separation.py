@@ -90,7 +90,7 @@ IRIS_M = load_vehicle_type("iris").wider_m
 )
 def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):
     """Its node does not announce the stop, as when its laptop is dead."""
-    monkeypatch.setattr(Separation, "tell", lambda self, names: None)
+    monkeypatch.setattr(Separation, "tell", lambda *_: None)
     stops = Flight("knot", vehicles=3, seed=seed, types=types, duration_s=9.5, loss=Loss(seed % 3, what, 1.0))
     result = fly(stops)
     assert result.closest_m > limit_m and all(result.landed)
@@ -107,7 +107,7 @@ def test_wide_vehicles_stop_as_soon_as_one_of_them_does(seed, monkeypatch):
     )
     assert fly(stops).closest_m > LIMITS.separation_m + 2.0 * IRIS_M
     if seed == 9:  # the control arm: no announcement
-        monkeypatch.setattr(Separation, "tell", lambda self, names: None)
+        monkeypatch.setattr(Separation, "tell", lambda *_: None)
         with pytest.raises(RuntimeError, match="collided"):
             fly(stops)
 
@@ -122,7 +122,7 @@ def test_five_on_a_circle_stop_as_soon_as_one_of_them_does(what, seed, monkeypat
     result = fly(stops)
     assert result.closest_m > LIMITS.separation_m and all(result.landed)
     if (what, seed) in FIVE:
-        monkeypatch.setattr(Separation, "tell", lambda self, names: None)  # the control arm: no announcement
+        monkeypatch.setattr(Separation, "tell", lambda *_: None)  # the control arm: no announcement
         with pytest.raises(RuntimeError, match="collided"):
             fly(stops)
 

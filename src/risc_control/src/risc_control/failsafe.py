@@ -1,4 +1,4 @@
-"""The failsafe ("loss") ladder of one vehicle: what happens when its inputs go silent or it leaves the fence. No ROS.
+"""The safety ladder of one vehicle: what happens when its inputs go silent or it leaves the fence. No ROS.
 
 Levels, from the bottom:
     OK    nothing to do.
@@ -125,7 +125,7 @@ class SafetyLadder:
         )
         self.verdict = Verdict(_OK, "")
         self.reactions = []  # the newest Reaction of each level that was entered for age, oldest first
-        self._navdata_s = None
+        self._navdata_s, self._navdata_repeats = None, False
         self._joystick_s = now_s  # newest message of any joystick; silence counts from the start
         self._joysticks_once = set()  # senders heard at least once: a second message is not expected of them
         self._joysticks_s = {}  # {sender heard more than once: when it was heard last}
@@ -186,8 +186,11 @@ class SafetyLadder:
         stops = now_s - self._apart_since_s < self.limits.separation_land_s
         return self._look._replace(aside=ALONE.aside) if stops else self._look
 
-    def note_navdata(self, battery_pct, now_s):
-        """A report of the vehicle arrived; battery_pct: None when it has none."""
+    def note_navdata(self, battery_pct, now_s, repeats=False):
+        """A report of the vehicle arrived; battery_pct: None when it has none.  repeats: it is an old one."""
+        self._navdata_repeats = repeats
+        if repeats:
+            return
         self._navdata_s = now_s
         if battery_pct is not None:
             self._battery_pct = battery_pct
@@ -318,7 +321,7 @@ class SafetyLadder:
             hold = _HOLD, rule, reason, (age_s, hold_s)
         age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
-            silent = self.reports + " silent for %.1f s"
+            silent = self.reports + (" the same for %.1f s" if self._navdata_repeats else " silent for %.1f s")
             reason = silent % age_s if self._navdata_s is not None else "no %s yet" % self.reports
             return _LAND, Rule.NAVDATA, reason, (age_s, limits.navdata_timeout_s)
         if not autonomous:

@@ -24,6 +24,8 @@ class Facts(NamedTuple):
     outside: bool  # of the fence
     tilt_rad: float
     controls_age_s: float  # of the newest command; infinite: no controller was heard
+    needs_controller: bool  # it is not to be flown by hand
+    disagreement: str  # why its controller is not obeyed; "" when nothing
     controls_limit_s: float
     markers: tuple  # numbers of markers (used for its pose, required, of its template); None: not reported
     nearest: tuple  # `Separation.nearest`: (distance [m], name) of the nearest vehicle; None: none is seen
@@ -64,7 +66,14 @@ def refusals(facts):
         if facts.nearest is not None and facts.nearest[0] < facts.apart_m:
             text = "it stands %.2f m from %s, %.2f m are needed: carry them apart"
             found.append(text % (*facts.nearest, facts.apart_m))
-    if facts.controls_limit_s < facts.controls_age_s < math.inf:
+    if facts.disagreement:
+        found.append(facts.disagreement)
+    elif facts.needs_controller and math.isinf(facts.controls_age_s):
+        found.append(
+            "no controller was heard: start it, or look whether it sends /controls for this vehicle. To fly by hand "
+            "start the vehicle's node with preflight_controller:=false"
+        )
+    elif facts.controls_limit_s < facts.controls_age_s < math.inf:
         text = "its controller has been silent for %.1f s: start it again, or this node to fly by hand"
         found.append(text % facts.controls_age_s)
     return tuple(found)

@@ -1,4 +1,4 @@
-"""Levels, rules, limits and verdicts of a vehicle's failsafe ladder (`failsafe`). Plain data, quick to import: programs
+"""Levels, rules, limits and verdicts of a vehicle's safety ladder (`failsafe`). Plain data, quick to import: programs
 that only show or check it need no compiled code.
 """
 

@@ -15,8 +15,8 @@ A vehicle holds when a neighbour
   node, a lost network), its hold is noticed from its states half a second later.
 
 A vehicle that is not seen is assumed to stay where it was seen last, for `separation_forget_s`, and anywhere below,
-since it comes down there; it may also have flown on for a while. A vehicle on the floor makes no other hold; landing on
-it is prevented separately (`Look.above`).
+since it comes down there; it may also have flown on for a while. One that is not seen, and reports that it stands, is
+on the floor. A vehicle on the floor makes no other hold; landing on it is prevented separately (`Look.above`).
 
 Distances are between centres, and set for two AR.Drones. Vehicles that reach farther (`radius_m` of the type) are kept
 as much farther apart: everywhere here a distance is reduced by what the two reach farther (`wider_m`), so that the same
@@ -72,6 +72,7 @@ _VEHICLE = record(
     ("strays", bool),
     ("holds", bool),
     ("told", bool),  # its own node holds or lands it, for a reason other than its neighbours
+    ("stands", bool),  # by its own report
     ("neighbour", int),  # that makes it hold: the one that is inside its limit by most
     ("cause", int),
 )
@@ -138,11 +139,12 @@ class Separation:
         rows = self._rows_of(names)
         _refer(self._vehicles, rows, derivatives, referred_s, self._course_m)
 
-    def tell(self, names):
-        """These vehicles hold or land for a reason other than their neighbours, as their nodes report before it can be
-        seen.
+    def tell(self, holding, standing=()):
+        """holding: names of the vehicles that hold or land for a reason other than their neighbours, as their nodes
+        report before it can be seen.  standing: of those that report that they stand.
         """
-        self._vehicles["told"] = [name in names for name in self._names]
+        self._vehicles["told"] = [name in holding for name in self._names]
+        self._vehicles["stands"] = [name in standing for name in self._names]
 
     def look(self, now_s):
         """{name: Look} of the own vehicles that have to do something; the others are `ALONE`."""
@@ -320,8 +322,9 @@ def _is_above(one, other):
 
 
 @compiled
-def _flies(vehicle):
-    return vehicle.position_m[2] >= AIRBORNE_M
+def _flies(vehicle, is_unseen):
+    """What is seen counts more than what it reports."""
+    return vehicle.position_m[2] >= AIRBORNE_M and not (is_unseen and vehicle.stands)
 
 
 @compiled
@@ -339,14 +342,14 @@ def _judge(vehicles, apart_m, now_s, limits_of_all):
         one, velocity, spare_m = vehicles[i], _velocity(vehicles[i]), 0.0
         one.holds = False
         apart_m[i, :] = np.inf
-        if now_s - one.seen_s > limits.state_hold_s or not _flies(one):
+        if now_s - one.seen_s > limits.state_hold_s or not _flies(one, False):
             continue  # it holds or lands because it is not seen, or stands
         for j in range(n):
             other = vehicles[j]
             unseen_s = now_s - other.seen_s
-            if i == j or unseen_s > limits.separation_forget_s or not _flies(other):
-                continue
             is_unseen = unseen_s > limits.state_hold_s
+            if i == j or unseen_s > limits.separation_forget_s or not _flies(other, is_unseen):
+                continue
             both = one, velocity, other, _velocity(other), is_unseen
             apart_m[i, j] = nearest_m = _nearest_straight(*both, limits.separation_lookahead_s)
             limit_m = limits.separation_stray_m if other.strays else limits.separation_m
@@ -394,10 +397,10 @@ def _avoid(vehicles, i, now_s, limits_of_all):
         if level_m - _wider(one, other) < beside_m and not _is_above(other, one):
             beside_m, above = level_m - _wider(one, other), True
             aside = (x / level_m, y / level_m) if level_m > 0.0 else (1.0, 0.0)
-        if not _flies(other):
+        is_unseen, ahead_s = unseen_s > limits.state_hold_s, limits.separation_lookahead_s
+        if not _flies(other, is_unseen):
             continue
         # will the other come too near even if this one stops at once?
-        is_unseen, ahead_s = unseen_s > limits.state_hold_s, limits.separation_lookahead_s
         alone_m = _nearest_straight(one, _STILL, other, _velocity(other), is_unseen, ahead_s)
         if alone_m < closest_m:
             closest_m = alone_m
@@ -442,9 +445,9 @@ def _is_free(vehicles, i, aside, distance_m, now_s, limits):
         end_m = math.hypot(x + distance_m * aside[0], y + distance_m * aside[1]) - _wider(one, other)
         if end_m < min(math.hypot(x, y) - _wider(one, other), _BESIDE * limits.separation_m) - 1e-9:
             return False
-        if not _flies(other):
-            continue
         is_unseen = unseen_s > limits.state_hold_s
+        if not _flies(other, is_unseen):
+            continue
         here_m = _nearest_straight(one, _STILL, other, _STILL, is_unseen, 0.0)
         nearest_m = _nearest_straight(one, velocity, other, _STILL, is_unseen, within_s)
         if nearest_m < min(here_m - 1e-9, limits.separation_stray_m):

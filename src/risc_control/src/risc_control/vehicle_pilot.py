@@ -42,6 +42,8 @@ _STOPS_S = 1.0  # longest time for stopping before it lands
 _WAITS_S = 0.05  # a state that is only late comes within this time: until then the vehicle is level, not braked
 _TILTS_S = 0.1  # time constant of the commanded tilt that the fence uses
 _NEARLY_FULL = 0.999
+# above this a vehicle never measures the same velocity twice; a model without noise at rest does
+_REST_M_S = 1e-3
 _SLOWER = 59.0 / 60.0  # of the rate at which the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
 
 
@@ -65,6 +67,7 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     # which it holds its place; False (a floor without texture): its velocity is that of the model, and it is kept level
     hold_auto_hover: bool = True
     preflight: bool = True  # refuse a take-off until motion capture and the surroundings are fit for flight
+    preflight_controller: bool = False  # and until a controller was heard; False: it may be flown by hand alone
     preflight_markers: Count = 0  # number of its markers that must be seen before a take-off; 0: all of its template
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
     # HOLD: the model is corrected by its earlier errors, and by the tilt and the height that the vehicle reports;
@@ -138,7 +141,7 @@ class SlotClock:
 
 
 class VehiclePilot:
-    """Joystick state machine, input mapping and failsafe ladder of one vehicle."""
+    """Joystick state machine, input mapping and safety ladder of one vehicle."""
 
     def __init__(
         self, params, vehicle_type, now_s, slot_s=0.0, before=None, nearest=lambda: None, listens_since_s=-math.inf
@@ -182,6 +185,7 @@ class VehiclePilot:
         self._takeoff_s = None  # when a take-off was ordered that the vehicle has not confirmed yet
         self._state = None
         self._state_s = 0.0  # time of the state [s]
+        self._felt, self._repeats = None, False  # velocity that it measured last; whether its last reports are the same
         self._unseen = False  # it is not seen in a newer frame of motion capture
         self._told = None  # the newest Verdict that was published
         self._nearest, self._looks_s = nearest, deque(maxlen=preflight.LOOKS)
@@ -241,8 +245,12 @@ class VehiclePilot:
         orders = Orders()
         if self.ladder.verdict.level == _LAND and not self.ladder.navdata_is_fresh(now_s):
             self._risen_s = now_s  # it hears us again
-        self.ladder.note_navdata(status.battery_pct, now_s)
-        if status.velocity_m_s is not None and self._params.hold_auto_hover:
+        felt = status.velocity_m_s
+        if felt is not None:
+            moves = self.airborne and math.hypot(*felt) > _REST_M_S
+            self._repeats, self._felt = moves and felt == self._felt, felt
+        self.ladder.note_navdata(status.battery_pct, now_s, self._repeats)
+        if status.velocity_m_s is not None and self._params.hold_auto_hover and not self._repeats:
             self._braking.feel(status.velocity_m_s, now_s)
         corrects, measured_s = self._params.hold_corrects, now_s - self._adapter.type.report_delay_s
         if corrects and status.tilt_rad is not None:
@@ -348,6 +356,7 @@ class VehiclePilot:
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
             self.ladder.controls.note(age_s, now_s)
+        # a full yaw rate takes it nowhere, and half a turn lasts seconds; a climb is bounded by the fence
         most_phi, most_theta, most_thrust = self._full
         saturated = abs(own.phi) >= most_phi or abs(own.theta) >= most_theta or abs(own.thrust_n) >= most_thrust
         self.ladder.note_command(is_finite, saturated and self.autonomous, now_s)
@@ -447,6 +456,11 @@ class VehiclePilot:
         """Whether it holds or lands for another reason than other vehicles."""
         verdict = self.ladder.verdict
         return verdict.level > _OK and verdict.rule != Rule.SEPARATION
+
+    @property
+    def stands(self):
+        """Whether its newest report is that it stands."""
+        return self.flight_state in ON_GROUND and not self.airborne
 
     @property
     def next_command_s(self):
@@ -559,6 +573,8 @@ class VehiclePilot:
                 own is not None and ladder.fence.is_outside(own.position_m),
                 math.acos(math.cos(own.phi_rad) * math.cos(own.theta_rad)) if own else 0.0,
                 ladder.controls.age_s(now_s),
+                self._params.preflight_controller,
+                self.disagreement,
                 ladder.limits.controls_hold_s,
                 markers and (markers[0], self._params.preflight_markers or markers[1], markers[1]),
                 self._nearest(),

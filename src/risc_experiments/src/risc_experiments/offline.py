@@ -368,7 +368,9 @@ class RunningFlight:
         separation.see(names, believed, states.x, stamp_s)
         course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
         separation.refer(names, course_m, self._time_s)
-        separation.tell({name for name, chain in zip(self._names, self._chains) if chain.pilot.holds_alone})
+        pilots = {name: chain.pilot for name, chain in zip(self._names, self._chains)}
+        holding = {name for name, pilot in pilots.items() if pilot.holds_alone}
+        separation.tell(holding, {name for name, pilot in pilots.items() if pilot.stands})
         looks = separation.look(self._now_s)
         self._looks = [looks.get(name, ALONE) for name in self._names], suspects
         return self._looks

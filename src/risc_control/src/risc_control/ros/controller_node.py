@@ -222,7 +222,7 @@ class ControllerNode:
             fresh = abs(stamp_s - self._covariances_s) <= self._state_timeout_s
             told = states, present, ahead, usable, self._autonomous, bodies, self._covariances if fresh else None
             output = self._loop.update(stamp_s, sent_s, *told)
-            # Without commands for a vehicle the failsafe ladder of its node acts: hold, then land. A command that is
+            # Without commands for a vehicle the safety ladder of its node acts: hold, then land. A command that is
             # based on no state or no reference would look like a sign of life.
             asked = usable & states.visible
             known = asked & output.finite

@@ -27,7 +27,7 @@ from risc_control.ros.joystick_buttons import claim_buttons, origin
 from risc_control.safety import fence_of
 from risc_control.separation import ALONE, Separation
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
-from risc_control.vehicles import Controls, adapter_class
+from risc_control.vehicles import ON_GROUND, Controls, adapter_class
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle, wider_m
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, disagreement
@@ -99,6 +99,7 @@ class VehicleNode:
         others = [vehicle for vehicle in everybody if vehicle.template not in self._by_name]
         # until when it counts that another node holds or lands its vehicle
         self._held_until_s = {vehicle.template: -math.inf for vehicle in others}
+        self._stand_until_s = dict(self._held_until_s)  # the same of vehicles that report that they stand
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
             kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
@@ -119,6 +120,9 @@ class VehicleNode:
         for other in others:
             heard = partial(self._on_safety_of, other.template)
             subscribe("/%s/safety" % other.namespace, Safety, heard, on_error=self._on_error, queue_size=1)
+            heard = partial(self._on_status_of, other.template)
+            topic = "/%s/vehicle_status" % other.namespace
+            subscribe(topic, VehicleStatus, heard, on_error=self._on_error, queue_size=1)
         paced = partial(PacedSubscriber, on_error=self._on_error)
         paced("/controls", ControlsArrays.Raw, self._on_controls, tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
@@ -169,6 +173,11 @@ class VehicleNode:
         alone = message.level > Safety.OK and message.rule != Safety.SEPARATION
         self._held_until_s[name] = time.monotonic() + self.params.separation_forget_s if alone else -math.inf
 
+    def _on_status_of(self, name, message):
+        """Note whether the vehicle of another node reports that it stands."""
+        stands = message.state in ON_GROUND
+        self._stand_until_s[name] = time.monotonic() + self.params.separation_forget_s if stands else -math.inf
+
     def _on_states(self, message):
         with self._looking:
             states = self._states.deserialize(message.buff)
@@ -180,7 +189,9 @@ class VehicleNode:
                 return
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
-            self._separation.tell(own | {name for name, s in self._held_until_s.items() if now_s < s})
+            held = own | {name for name, s in self._held_until_s.items() if now_s < s}
+            stand = {name for name, vehicle in self._by_name.items() if vehicle.pilot.stands}
+            self._separation.tell(held, stand | {name for name, s in self._stand_until_s.items() if now_s < s})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:
