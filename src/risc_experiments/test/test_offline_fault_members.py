@@ -12,7 +12,7 @@ PASSING = {  # the flight goes on; faults one after another, each judged until t
     "frames come late, twice, or not": (
         "loss:0.3,duration_s=1@0 drop:0.1,duration_s=1@1 duplicate:1,duration_s=1@2 reorder:0.5,duration_s=1@3 "
         "jitter:0.05,duration_s=1@4 delay:0.05,duration_s=1@5 burst:0.05,duration_s=1@6 "
-        "intermittent:0.3,duration_s=1@7 blackhole:0.2@8.5 corrupt:1,duration_s=1@9 truncate:1,duration_s=1@10"
+        "intermittent:0.3,duration_s=1@7 blackhole:0.2@8.5 corrupt:0.3,duration_s=1@9 truncate:0.3,duration_s=1@10"
     ),
     "frames are wrong": (
         "clock_step:0.03,duration_s=0.5@0 clock_step:1,duration_s=0.5@1 clock_step:-1,duration_s=0.5@2 "

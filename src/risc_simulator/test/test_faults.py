@@ -79,12 +79,15 @@ def test_jitter_is_uniform_and_lets_datagrams_overtake():
     assert [data for _, _, data in arrived] != DATAGRAMS
 
 
-def test_corrupt_leaves_alone_what_has_no_bytes():
+@pytest.mark.parametrize("fault", ["corrupt", "truncate"])
+def test_what_has_no_bytes_is_lost_where_it_would_be_damaged(fault):
     """Offline flights carry frames and setpoints as objects, not bytes."""
-    wires = Wires(1)
+    wires, arrived = Wires(1), []
     wire = wires.wire("risc1/commands")
-    wires.add(FaultEvent("corrupt", channel="*", severity=1.0))
-    assert wire.carry((1.0, 2.0), None, 0.0, lambda data, *_: data) == (1.0, 2.0)
+    wires.add(FaultEvent(fault, channel="*", severity=0.3))
+    for _ in range(1000):
+        wire.carry((1.0, 2.0), None, 0.0, lambda data, *_: arrived.append(data))
+    assert set(arrived) == {(1.0, 2.0)} and len(arrived) == pytest.approx(700, abs=60)
 
 
 def test_duplicate_sends_its_share_twice():

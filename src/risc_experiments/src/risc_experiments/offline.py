@@ -99,7 +99,7 @@ class Flight:
     loss: Loss | None = None
     faults: tuple[FaultEvent, ...] = ()  # which start when the course is reached, before the settling time
     # faults that start when the flight does, and are not reported in the Result. Channels are cortex/frames,
-    # cortex/stream, NAMESPACE/commands and NAMESPACE/navdata; messages without bytes are not corrupted
+    # cortex/stream, NAMESPACE/commands and NAMESPACE/navdata; damaged messages without bytes are lost
     wire_faults: tuple[FaultEvent, ...] = ()
 
 

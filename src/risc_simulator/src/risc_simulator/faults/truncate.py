@@ -1,9 +1,13 @@
-"""With this probability a datagram is cut off at a random place. Data that is not bytes is unchanged."""
+"""With this probability a datagram is cut off at a random place. Data that is not bytes is lost instead, as receivers
+refuse a packet without its end.
+"""
 
 
 def make(severity, rng):
     def act(datagram, now_s):
-        if isinstance(datagram, bytes) and datagram and rng.random() < severity:
+        if rng.random() < severity:
+            if not isinstance(datagram, bytes) or not datagram:
+                return []
             datagram = datagram[: rng.integers(len(datagram))]
         return [(0.0, datagram)]
 
