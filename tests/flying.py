@@ -17,7 +17,7 @@ from risc_lab.ros.launching import MARK
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 TIMEOUT_S = 400.0  # of a whole flight and its report
 PATIENCE_S = 60.0  # for landing, ending the nodes and the report, after an interrupt
-STALL_LIMIT_MS = 250.0  # half of what the loss ladder waits before it lands
+STALL_LIMIT_MS = 250.0  # half of what the safety ladder waits before it lands
 
 
 def start(folder, *arguments, command=(sys.executable,), module="risc_experiments.fly", **options):

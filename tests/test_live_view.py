@@ -89,7 +89,7 @@ class Flight:
         return self.launch.log_path.read_text(errors="replace")
 
     def log_says_that_it_failed(self):
-        return any(words in self.log() for words in ("operator: result failed", "landed by its loss ladder"))
+        return any(words in self.log() for words in ("operator: result failed", "landed by its safety ladder"))
 
     def summary(self):
         """The part of the summary that tells whether the computer had time; {} if the lab has not ended by itself."""

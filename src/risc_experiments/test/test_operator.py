@@ -11,7 +11,7 @@ from risc_lab.phases import TrajectoryPhase as Trajectory
 
 TOGGLE, TAKEOFF_LAND, BUMPER = 0, 6, 5
 STEP_S = 1.0 / JOY_RATE_HZ
-OK = (FailsafeLevel.OK, "")  # of the loss ladder
+OK = (FailsafeLevel.OK, "")  # of the safety ladder
 
 
 class ModelVehicle:
@@ -555,7 +555,7 @@ def test_it_flies_again_and_again_with_all_vehicles():
     for vehicle in flight.vehicles.values():
         vehicle.safety = (FailsafeLevel.LAND, "battery")
     assert flight.operator.fly_again(flight.now_s) == ""
-    flight.run(lambda: "loss ladder (battery)" in flight.operator.text)
+    flight.run(lambda: "safety ladder (battery)" in flight.operator.text)
     for vehicle in flight.vehicles.values():
         vehicle.safety = OK
     flight.on_course()

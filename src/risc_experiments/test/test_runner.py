@@ -89,7 +89,7 @@ def judged(faults, out=(), left_ok_s=(), kept_apart=(), **changes):
 
 
 FAR_OFF = {"position_rmse_m": 0.2, "position_max_m": 1.0}
-LANDED = Out(12.0, OutCause.LADDER, "landed by its loss ladder (state 500 ms old)")
+LANDED = Out(12.0, OutCause.LADDER, "landed by its safety ladder (state 500 ms old)")
 
 
 def test_a_vehicle_that_suffered_may_land_and_be_off_its_course():

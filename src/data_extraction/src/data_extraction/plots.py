@@ -296,7 +296,7 @@ def drop_map(drops, arena):
 
 
 def ladder(spans, zero_s, faults=()):
-    """Levels of every vehicle's loss ladder over time; faults: as for `draw_all`.
+    """Levels of every vehicle's safety ladder over time; faults: as for `draw_all`.
 
     spans: {vehicle: [report.ladder.Span]}; zero_s: time 0.
     """

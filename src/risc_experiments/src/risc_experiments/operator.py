@@ -8,7 +8,7 @@ silent vehicle is asked to land by its service: it may have landed already, and 
 
 After the end it waits; `fly_again` starts another flight with all vehicles.
 
-A phase that takes too long, and a request to land, lead to `land`. A vehicle that lands by itself (its loss ladder),
+A phase that takes too long, and a request to land, lead to `land`. A vehicle that lands by itself (its safety ladder),
 falls silent or loses its joystick node has failed: it is told to land, again and again until it reports that it
 stands, and is left alone from then on; the others fly on. Times are seconds of a monotonic clock.
 """
@@ -160,7 +160,7 @@ class Watched:
         if self.flight_state != FlightState.LANDED:
             return "does not report landed (state %s)" % self.flight_state
         if self.safety == FailsafeLevel.LAND:
-            return "is still being landed by its loss ladder (%s)" % self.safety_reason
+            return "is still being landed by its safety ladder (%s)" % self.safety_reason
         if now_s - self.status_s > params.report_timeout:
             return "no controller_status (is the joystick node running?)"
         if now_s - self.seen_s > params.seen_timeout:
@@ -382,7 +382,7 @@ class Operator:
         flew = self.phase == Phase.HOME or self._course_since_s is not None
         for name, w in self._taking_part():
             if w.safety == FailsafeLevel.LAND:
-                w.leave(OutCause.LADDER, "landed by its loss ladder (%s)" % w.safety_reason)
+                w.leave(OutCause.LADDER, "landed by its safety ladder (%s)" % w.safety_reason)
             elif started and w.flight_state in (FlightState.LANDED, FlightState.LANDING):
                 w.leave(OutCause.LANDED, "landed by itself")
             elif w.is_silent(self._params, now_s):

@@ -1,4 +1,4 @@
-"""Distance of every vehicle from the net, as its loss ladder sees it: of its position, and of where it could stop."""
+"""Distance of every vehicle from the net, as its safety ladder sees it: of its position, and of where it could stop."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""The loss ladder of every vehicle over time, from its safety topic."""
+"""The safety ladder of every vehicle over time, from its safety topic."""
 
 from dataclasses import dataclass
 

@@ -43,7 +43,7 @@ def _log_without_the_master():
     """Let no log call wait for the master, which may be out of reach just when there is something to log.
 
     As long as this parameter is not set, each of rospy's log calls asks for it and waits for the answer, without a
-    limit: the timer of the loss ladder would stand still from its first warning on.
+    limit: the timer of the safety ladder would stand still from its first warning on.
     """
     if not rospy.has_param(_OMIT_TOPICS):
         rospy.set_param(_OMIT_TOPICS, False)
