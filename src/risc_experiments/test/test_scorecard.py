@@ -15,6 +15,7 @@ from risc_experiments.scorecard import __main__ as command
 from risc_experiments.scorecard import flights, output
 from risc_experiments.scorecard.figures import compare, rate_bounds, row_of, share_bounds, totals_of
 from risc_experiments.scorecard.plan import NONE, RANDOM, Cell, Plan, load_params, safe_members
+from risc_lab.lab.arena import Arena
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_simulator.faults import fault_settings
 from risc_simulator.models.integrator import REST_HEIGHT_M
@@ -37,6 +38,7 @@ def flown(rmse_m, minutes=1.0, delays_ms=(), missed=0, **counted):
         "square_m2": 100 * rmse_m**2,
         "samples": 100,
         "worst_m": 2 * rmse_m,
+        "net_m": 1.0 - rmse_m,
     }
     return figures | {"events": events, "false_alarms": 0, "breach": [], "contact": []} | counted
 
@@ -70,12 +72,15 @@ def test_a_row_is_made_of_all_its_flights():
     )
     assert row.keys() >= ROW_KEYS
     assert (row["flights"], row["failed"], row["minutes"], row["vehicle_minutes"]) == (2, 1, 1.5, 3.0)
+    assert row["net_m"] == 0.97, "the least"
     assert row["rmse_m"] == pytest.approx((0.5 * (0.01**2 + 0.03**2)) ** 0.5, abs=1e-6) and row["worst_m"] == 0.06
     assert (row["events"], row["detected"], row["detect_p50_ms"], row["detect_p99_ms"]) == (4, 3, 100.0, 110.0)
     assert row["detected_by"] == {"hold": 3} and row["outcomes"] == {"held": 3, "completed": 1}
     assert (row["false_alarms"], row["breaches"], row["contacts"]) == (2, 0, 1)
     totals = totals_of([row, row])
     assert (totals["minutes"], totals["breaches"], totals["contacts"]) == (3.0, 0, 2)
+    nowhere = row_of(CELL, {1: {"minutes": 0.0, "vehicle_minutes": 0.0, "error": "not on the course"}})
+    assert totals["net_m"] == totals_of([row, nowhere])["net_m"] == 0.97 and totals_of([nowhere])["net_m"] is None
     assert totals["breaches_per_minute_bounds"] == [0.0, 1.0]
 
 
@@ -169,6 +174,16 @@ def test_minutes_of_single_vehicles_are_those_that_they_are_up():
     actual_m[250:, 1, 2] = REST_HEIGHT_M  # it has landed
     result = SimpleNamespace(times_s=times_s, reached_s=2.0, actual_m=actual_m)
     assert flights._vehicle_minutes(result) == pytest.approx((8.0 + 3.0) / 60.0)
+
+
+def test_the_distance_to_the_net_is_that_to_its_sides_and_its_ceiling_on_the_course():
+    times_s, actual_m = 0.02 * np.arange(500), np.full((500, 2, 3), 1.0)
+    result = SimpleNamespace(times_s=times_s, reached_s=2.0, actual_m=actual_m)
+    for place_m, net_m in (((1.0, -1.9, 1.0), 0.1), ((-2.2, 1.0, 1.0), 0.3), ((0.0, 0.0, 2.95), 0.05)):
+        actual_m[250, 1] = place_m
+        assert flights._net_m(Arena(2.5, 2.0, 3.0), result) == pytest.approx(net_m)
+        actual_m[50, 0], actual_m[250, 1] = place_m, 1.0  # before the course
+        assert flights._net_m(Arena(2.5, 2.0, 3.0), result) == 1.0
 
 
 def run(capsys, folder, vehicles, *options):

@@ -43,6 +43,7 @@ def row_of(cell, flights):
     }
     row["rmse_m"] = round(math.sqrt(square_m2 / samples), 6) if samples else None
     row["worst_m"] = max((figures["worst_m"] for figures in flown.values() if figures["samples"]), default=None)
+    row["net_m"] = min((figures["net_m"] for figures in flown.values()), default=None)
     row |= dict(zip(_DETECT, percentiles(delays_ms, list(_DETECT.values()))))
     row |= {"events": len(events), "detected": len(delays_ms)}
     row["detected_bounds"] = share_bounds(len(delays_ms), len(events))
@@ -68,6 +69,7 @@ def totals_of(rows):
     summed = ("minutes", "vehicle_minutes", "flights", "failed", "events", "unsafe", *COUNTED)
     sums = {key: sum(row[key] for row in rows) for key in summed}
     sums |= {what: round(sums[what], 4) for what in ("minutes", "vehicle_minutes")}
+    sums["net_m"] = min((row["net_m"] for row in rows if row["net_m"] is not None), default=None)
     for what in COUNTED:
         sums[what + "_per_minute_bounds"] = rate_bounds(sums[what], sums["minutes"])
     return sums

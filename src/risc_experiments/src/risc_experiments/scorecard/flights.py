@@ -18,7 +18,7 @@ import risc_experiments
 import risc_lab
 import risc_simulator
 from risc_control.safety import FailsafeLevel
-from risc_experiments.offline import JUDGE_EVERY, fly
+from risc_experiments.offline import JUDGE_EVERY, fly, lab_of
 from risc_experiments.offline_chain import FRAME_S, LATENCY_S
 from risc_experiments.workers import in_order
 from risc_lab.lab.yaml_reader import member_folders, package_file
@@ -55,6 +55,7 @@ def score(item):
         "minutes": round((result.flown_s - result.reached_s) / 60.0, 5),
         "vehicle_minutes": round(_vehicle_minutes(result), 5),
         **_errors(result),
+        "net_m": round(_net_m(lab_of(flight)[0].arena, result), 4),
         "events": _events(flight, result, alarms, settle_s),
         "false_alarms": _false_alarms(flight, result, alarms, settle_s),
         "breach": ["%s %s %s" % (breach.name, breach.reason, _when(result, breach)) for breach in result.breaches],
@@ -67,6 +68,12 @@ def _vehicle_minutes(result):
     """Time [min] that the vehicles were in the air since the course was reached, summed over the vehicles."""
     up = result.actual_m[result.times_s >= result.reached_s, :, 2] > REST_HEIGHT_M + 0.01
     return np.count_nonzero(up) * JUDGE_EVERY * FRAME_S / 60.0
+
+
+def _net_m(arena, result):
+    """Least distance [m] of the centre of a vehicle to the net's sides and ceiling since the course was reached."""
+    places_m = np.abs(result.actual_m[result.times_s >= result.reached_s])
+    return float((np.array([arena.half_x_m, arena.half_y_m, arena.height_m]) - places_m).min())
 
 
 def _when(result, event):

@@ -18,8 +18,8 @@ from risc_experiments.soak import table
 from risc_lab.lab.yaml_reader import package_file
 
 _SCALARS = (
-    *KEY, "minutes", "vehicle_minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms",
-    "detect_p99_ms", "unsafe", *COUNTED,
+    *KEY, "minutes", "vehicle_minutes", "flights", "failed", "rmse_m", "worst_m", "net_m", "events", "detected",
+    "detect_p50_ms", "detect_p99_ms", "unsafe", *COUNTED,
 )  # fmt: skip
 _COLOURS = {grade: plots.COLOURS[k] for grade, k in zip(GRADES, (2, 4, 1))}
 _OTHER = plots.COLOURS[0]
@@ -60,7 +60,7 @@ def page_values(scorecard):
     return {
         "card": {"against": None} | scorecard, "pairs": _pairs(scorecard["rows"]), "head": HEAD, "meaning": MEANING,
         "most_named": MOST_NAMED, "draw": draw, "cells": cells, "compared": compared, "rate": rate,
-        "minutes_text": minutes_text, "otherwise": OTHERWISE,
+        "minutes_text": minutes_text, "net_text": net_text, "otherwise": OTHERWISE,
     }  # fmt: skip
 
 
@@ -110,6 +110,11 @@ def minutes_text(minutes):
     return "{:,.0f}".format(minutes) if minutes >= 1000.0 else "%.1f" % minutes
 
 
+def net_text(row):
+    """Least distance of a vehicle's centre to the net's sides and ceiling, e.g. 0.41 m."""
+    return table.number(row["net_m"], 2) + " m"
+
+
 def rate(row, what):
     """95 % bounds of a rate per minute, as text: "< 3e-4" for what has never happened."""
     bounds = row[what + "_per_minute_bounds"]
@@ -144,6 +149,7 @@ def markdown(scorecard):
     times = [minutes_text(totals[what]) for what in ("minutes", "vehicle_minutes")]
     flown = *times, totals["flights"], totals["events"], ", ".join(counted)
     lines += ["", "In all %s minutes (%s of single vehicles) in %d flights, %d faults: %s." % flown]
+    lines += ["Nearest to the net: %s from a vehicle's centre." % net_text(totals)]
     lines += ["In brackets: bounds of 95 %. " + MEANING, ""]
     if not scorecard["complete"]:
         lines += ["It is not complete: it was interrupted.", ""]
@@ -171,9 +177,9 @@ OTHERWISE = "The two were not flown under the same conditions (%s): differences 
 MEANING = (
     "Errors: against truth, while on the course. Detected: from the start of a fault to the first failsafe level above "
     "OK, or until a vehicle is not seen any more, whichever is first; the p99 of fewer than 100 is the largest. False "
-    "alarms: levels above OK that no fault explains. Breaches: into the net or onto the floor. Contacts: two vehicles "
-    "touched. A minute counts once for the whole fleet, on the course, until all of it has landed; minutes of "
-    "single vehicles are those that each was up."
+    "alarms: levels above OK that no fault explains. Breaches: the centre of a vehicle reached the net, or it fell or "
+    "landed hard. Contacts: two vehicles touched. A minute counts once for the whole fleet, on the course, until all "
+    "of it has landed; minutes of single vehicles are those that each was up."
 )
 
 
