@@ -4,11 +4,11 @@ import csv
 import json
 import pathlib
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 
 from data_extraction.report import page
 from risc_experiments.scorecard import __main__ as command
@@ -16,7 +16,7 @@ from risc_experiments.scorecard import flights, output
 from risc_experiments.scorecard.figures import compare, rate_bounds, row_of, share_bounds, totals_of
 from risc_experiments.scorecard.plan import NONE, RANDOM, Cell, Plan, load_params, safe_members
 from risc_lab.lab.arena import Arena
-from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.lab.yaml_reader import package_file
 from risc_simulator.faults import fault_settings
 from risc_simulator.models.integrator import REST_HEIGHT_M
 
@@ -186,11 +186,34 @@ def test_the_distance_to_the_net_is_that_to_its_sides_and_its_ceiling_on_the_cou
         assert flights._net_m(Arena(2.5, 2.0, 3.0), result) == 1.0
 
 
+def test_other_settings_name_what_differs():
+    """Those of the shipped files; the rest is as in scorecard.yaml."""
+    usual = load_params()
+    for name, types in (("iris", ("iris",) * 3), ("mixed", ("ardrone", "ardrone", "iris"))):
+        path = package_file("risc_experiments", "config/scorecard_%s.yaml" % name)
+        assert load_params(path) == replace(usual, types=types)
+
+
+def test_the_shipped_list_of_faults_flies():
+    path = str(package_file("risc_experiments", "config/beyond_grades.yaml"))
+    mine = plan(Cell(path, "-", "least_squares", "differential_flatness"))
+    events = mine.flight(mine.cells[0], 1).faults
+    drawn = {(event.fault, event.severity) for event in events}
+    assert drawn == {
+        *(("clock_step", step_s) for step_s in (1.0, -1.0)),
+        *(("burst", silence_s) for silence_s in (0.02, 5.0)),
+        *(("loss", 0.3), ("jitter", 0.05)),
+    }
+    begins_s = [event.start_s for event in events]
+    ends_s = [event.start_s + event.duration_s for event in events]
+    quiet_s = [begin_s - end_s for end_s, begin_s in zip(ends_s, begins_s[1:])]
+    assert min(quiet_s) >= mine.params.events.settle_s
+
+
 def run(capsys, folder, vehicles, *options):
     """Run a command line with this number of vehicles. Returns (exit code, the scorecard, what was printed)."""
     path = folder.parent / ("%s_settings.yaml" % folder.name)
-    settings = load_yaml(package_file("risc_experiments", "config/scorecard.yaml")) | {"vehicles": vehicles}
-    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    path.write_text("vehicles: %d\n" % vehicles, encoding="utf-8")
     code = command.main([*options, "--settings", str(path), "--workers", "1", "--out", str(folder)])
     return code, json.loads((folder / "scorecard.json").read_text(encoding="utf-8")), capsys.readouterr()
 

@@ -62,7 +62,8 @@ def arguments(argv=None):
     add("--json", type=pathlib.Path, metavar="FILE", help="write the JSON file here, too")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder (default: flights/scorecard, or "
         "flights/scorecard_no_ladder)")  # fmt: skip
-    add("--settings", type=pathlib.Path, metavar="YAML", help="in place of config/scorecard.yaml")
+    add("--settings", type=pathlib.Path, metavar="YAML", help="what differs from config/scorecard.yaml, e.g. "
+        "config/scorecard_iris.yaml")  # fmt: skip
     add("--workers", type=number(1), metavar="N", help="flights at the same time (default: a core each)")
     args = parser.parse_args(argv)
     if args.out is None:

@@ -78,9 +78,13 @@ class ScorecardParams(Settings):
 
 
 def load_params(path=None):
-    """ScorecardParams of a file; None: config/scorecard.yaml. Raises ValueError."""
-    path = path or package_file("risc_experiments", "config/scorecard.yaml")
-    return settings_from(ScorecardParams, load_yaml(path), str(path))
+    """ScorecardParams of config/scorecard.yaml, with the values of another file in place of its own. Raises ValueError.
+
+    The other file names only what differs: whole keys (`quick`, say, with all that it contains).
+    """
+    default = package_file("risc_experiments", "config/scorecard.yaml")
+    values = load_yaml(default) | (load_yaml(path) if path else {})
+    return settings_from(ScorecardParams, values, str(path or default))
 
 
 class Cell(NamedTuple):
