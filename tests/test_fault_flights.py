@@ -21,7 +21,7 @@ from risc_experiments.programs import find
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import MARK, Launch, PortReservation, end_processes, free_tcp_port
 from risc_lab.testing import wait_for
-from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, parse_fault
+from risc_simulator.faults import EVERYONE, REGISTRY, FaultEvent, fault_settings, parse_fault
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import Told
 from risc_simulator.virtual_lab import VirtualLab
@@ -76,6 +76,15 @@ def test_a_flight_with_a_short_blackout_ends_at_home(tmp_path):
 MIXED = ("--fleet", ROOT / "launch" / "fleets" / "mixed3.yaml", "--mocap-rate", "100")  # risc1, risc2 and iris1
 OF_TYPES = "risc1", "iris1"  # to which faults of a single vehicle happen
 FIRST_S, APART_S, LASTS_S = 2.0, 6.0, 2.0
+REST_S = 4.0  # after a long fault, until the next one begins: each is judged until then
+
+
+def begins(faults):
+    """When each of the faults begins [s], and when the flight ends."""
+    times_s = [FIRST_S]
+    for lasts_s in (parse_fault(text).duration_s for text in faults):
+        times_s.append(times_s[-1] + (max(APART_S, lasts_s + REST_S) if math.isfinite(lasts_s) else APART_S))
+    return times_s
 
 
 def each_flown(folder, *faults):
@@ -83,8 +92,9 @@ def each_flown(folder, *faults):
     outcomes = []
     while len(outcomes) < len(faults):
         left = faults[len(outcomes) :]
-        timed = ["%s@%g" % (text, FIRST_S + APART_S * k) for k, text in enumerate(left)]
-        duration = ("--duration", "%g" % (FIRST_S + APART_S * len(left)))
+        *starts_s, end_s = begins(left)
+        timed = ["%s@%g" % each for each in zip(left, starts_s)]
+        duration = ("--duration", "%g" % end_s)
         code, output, summary = flown(folder / str(len(outcomes)), *timed, options=(*MIXED, *duration))
         assert code == 0, output
         found = summary["faults"]
@@ -97,13 +107,16 @@ def each_flown(folder, *faults):
     return outcomes
 
 
-def lasting(name):
-    """The fault with its defaults, for each type if it is a fault of one vehicle; a lasting one is limited in time."""
-    settings, words = fault_settings(name), [""]
-    if settings.argument == "severity" or math.isinf(settings.default.duration_s):
+def lasting(name, *words, vehicles=OF_TYPES):
+    """The fault for each of these vehicles if it is one of a vehicle; a lasting one is limited in time.
+
+    words: its argument; none: the default.
+    """
+    settings = fault_settings(name)
+    if settings.argument == "severity" or not words and math.isinf(settings.default.duration_s):
         shortest_s, longest_s = settings.duration_s
-        words = ["duration_s=%g" % min(max(LASTS_S, shortest_s), longest_s)]
-    vehicles = OF_TYPES if settings.per_vehicle else [""]
+        words += ("duration_s=%g" % min(max(LASTS_S, shortest_s), longest_s),)
+    vehicles = vehicles if settings.per_vehicle else [""]
     return ["%s:%s" % (name, ",".join(filter(None, [vehicle, *words]))) for vehicle in vehicles]
 
 
@@ -111,6 +124,9 @@ FAULTS = [text for name in REGISTRY.names() if not fault_settings(name).on_progr
 FAULTS += ["cut:duration_s=0.05,channel=iris1/arduino"]  # the board is reset, and is back at once
 FALLS = [text for text in FAULTS if text.startswith("motor_loss")]  # after which the others land, too
 STAYS = [text for text in FAULTS if text not in FALLS]
+GRADED = [name for name in REGISTRY.names() if fault_settings(name).grades]
+SEVERE = [text for name in GRADED for text in lasting(name, "severe", vehicles=[EVERYONE])]
+SEVERE += ["clock_step:1", "clock_step:-1", "burst:5,duration_s=6"]  # at the ends of their ranges
 A_TEST = 4  # faults
 
 
@@ -121,6 +137,13 @@ A_TEST = 4  # faults
     ids="-".join,
 )
 def test_every_fault_ends_safe(tmp_path, faults):
+    each_flown(tmp_path, *faults)
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("faults", [SEVERE[k : k + A_TEST] for k in range(0, len(SEVERE), A_TEST)], ids="-".join)
+def test_every_severe_fault_ends_safe(tmp_path, faults):
+    """That of a vehicle happens to all at once."""
     each_flown(tmp_path, *faults)
 
 
@@ -160,6 +183,24 @@ def jumped(folder):
         if most[0] > FASTEST_M_S or most[1] > HARDEST_M_S2:
             found[name] = most
     return found
+
+
+@pytest.mark.parametrize(
+    "motion_m, found",
+    [
+        (lambda t_s: 0.5 * t_s, False),  # at 0.5 m/s
+        (lambda t_s: 0.5 * np.cos(t_s), False),  # as on a course
+        (lambda t_s: 0.3 * (t_s >= 1.0), True),  # it jumps
+        (lambda t_s: 0.6 * abs(t_s - 1.0), True),  # never too fast, but it turns round at once
+    ],
+)
+def test_a_jump_is_found_in_a_record(tmp_path, motion_m, found):
+    (tmp_path / "csv").mkdir()
+    with (tmp_path / "csv" / "ground_truth.csv").open("w") as file:
+        file.write("stamp,risc1.visible,risc1.x,risc1.y,risc2.visible,risc2.x,risc2.y\n")
+        for t_s in np.arange(0.0, 2.0, 0.01):
+            file.write("%.2f,True,0,0,True,1,%.4f\n" % (t_s, motion_m(t_s)))
+    assert set(jumped(tmp_path)) == ({"risc2"} if found else set())
 
 
 @pytest.mark.release
