@@ -38,7 +38,14 @@ from vehicle_world import (
 from risc_control.ros.vehicle_node import SILENCE_S, VehicleNode
 from risc_lab.ros.publisher_updates import init_node
 from risc_lab.testing import wait_for
-from risc_maap_msgs.msg import Safety, VehicleNodeStatus, VehicleStatus
+from risc_maap_msgs.msg import (
+    EstimatorStatus,
+    MarkerCount,
+    Safety,
+    TakeoffRefusals,
+    VehicleNodeStatus,
+    VehicleStatus,
+)
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
@@ -94,6 +101,31 @@ class VehicleNodeTest(unittest.TestCase):
             self.assertEqual(len(world.messages(vehicle, "ardrone/takeoff")), 1)
             others = [v for v in TEMPLATES if v != vehicle]
             self.assertEqual([world.messages(v, "ardrone/takeoff") for v in others], [[], []])
+
+    def test_2_takeoff_while_a_marker_is_hidden(self):
+        """The node of risc3 refuses it; that of risc1, which makes no checks, does not."""
+        world, told = self.world, []
+        rospy.Subscriber("/risc3/takeoff_refusals", TakeoffRefusals, told.append)
+        estimator = rospy.Publisher("/estimator_status", EstimatorStatus, queue_size=1)
+        wait_for(lambda: estimator.get_num_connections() == len(TEMPLATES), "the nodes")
+
+        def press(vehicle, used):
+            """With this number of markers used of 4."""
+            world.wait_for_state(vehicle, LANDED)
+            estimator.publish(markers=[MarkerCount(TEMPLATES[vehicle], used, 4)])
+            world.let_pass(vehicle)  # the count has arrived
+            world.press(vehicle, TAKEOFF_LAND)
+
+        press("risc3", 3)
+        wait_for(lambda: told and told[-1].reasons, "the refusal")  # the answer before is latched
+        (refusal,) = told[-1].reasons
+        self.assertIn("3 of its markers", refusal)
+        self.assertEqual(world.messages("risc3", "ardrone/takeoff"), [])
+        press("risc3", 4)
+        world.wait("risc3", "ardrone/takeoff")
+        wait_for(lambda: told[-1].reasons == [], "that there is no reason")
+        press("risc1", 3)
+        world.wait("risc1", "ardrone/takeoff")
 
     def test_3_each_vehicle_flies_its_own_command(self):
         world = self.world
