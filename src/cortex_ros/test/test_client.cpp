@@ -524,6 +524,8 @@ TEST_F(ClientTest, PacketsOfOthersAreIgnored) {
   other_port.send(frame, host_->client());
   EXPECT_TRUE(wait_until([&] { return client.count("foreign datagrams") >= before + 4; }));
   EXPECT_TRUE(client.events().frames().empty());
+  host_->stream(simple_frame(77), unicast());  // the same frame, from the host
+  EXPECT_TRUE(wait_until([&] { return client.events().frames().size() == 1; }));
 }
 
 // While the socket is not read, a stranger sends more than its buffer holds, then the host sends a little.

@@ -95,4 +95,6 @@ def test_no_thrust_brings_an_iris_to_net_or_floor(weights, inputs, monkeypatch):
 def test_nor_does_an_iris_with_a_wild_thrust(inputs):
     for seed in range(inputs(10, 100)):
         crashes, said, _ = fly("iris", seed, 0.05, weights=(0.0, 2.0))
-        assert not crashes, (seed, crashes, said)
+        assert not crashes and said, (seed, crashes, said)
+    crashes, *_ = fly("iris", 0, 0.05, duration_s=20.0, weights=(0.0, 2.0), ladder=False)
+    assert crashes and "net" in crashes[0].reason
