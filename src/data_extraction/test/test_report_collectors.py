@@ -263,7 +263,7 @@ def safety(level, rule, reason):
     return Safety(level=getattr(Safety, level), rule=getattr(Safety, rule), reason=reason)
 
 
-def test_rungs_last_until_the_next_change_or_the_end(play):
+def test_levels_last_until_the_next_change_or_the_end(play):
     held = safety("HOLD", "STATE", "state 120 ms old")
     landed = Safety(level=Safety.LAND, rule=Safety.REQUEST, reason="x", operator=True)
     told = [(0.0, Safety()), (2.0, held), (2.4, held), (2.5, Safety()), (4.0, landed)]
@@ -281,7 +281,7 @@ def test_rungs_last_until_the_next_change_or_the_end(play):
     assert lengths_s == pytest.approx([2.0, 0.5, 1.5, 1.0], abs=1e-6)
 
 
-def test_of_very_many_rungs_every_landing_is_kept_and_none_is_stretched(play):
+def test_of_very_many_levels_every_landing_is_kept_and_none_is_stretched(play):
     told = [safety("HOLD", "STATE", str(k)) if k % 2 else Safety() for k in range(2101)]
     told += [safety("LAND", "BATTERY", text) for text in ("20 % left", "19 % left")]
     told += [Safety(), safety("HOLD", "STATE", "x")]

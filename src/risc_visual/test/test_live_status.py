@@ -122,7 +122,7 @@ def test_an_error_that_is_none_is_not_shown():
     assert panel.hear().vehicle(0).endswith("| course")
 
 
-def test_the_rung_of_the_ladder_and_its_reason_stand_out():
+def test_the_failsafe_level_and_its_reason_stand_out():
     panel = Panel()
     panel.values["safety", "risc2"] = Verdict(FailsafeLevel.LAND, "landing was requested")
     panel.values["mode", "risc2"] = False
