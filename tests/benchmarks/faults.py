@@ -1,5 +1,5 @@
-"""Whole graph in real time: how long after the start of a fault the vehicles are sent a command of a higher failsafe
-level, by the clock of the computer that flies.
+"""Whole graph in real time: how long after the start of a fault the virtual vehicles receive a command of a higher
+failsafe level, by the clock of the computer that flies.
 
 A flight has as many events of one fault as fit, at seeded times; every vehicle counts. When vehicles have landed, the
 next flight continues. Vehicles whose ladder had no reason to leave its level have no reaction.

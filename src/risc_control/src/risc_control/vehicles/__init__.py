@@ -80,7 +80,7 @@ class Status(NamedTuple):
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
     # measured by its own sensors, `VehicleType.report_delay_s` ago; None: this report has none
-    velocity_m_s: tuple | None = None  # horizontal: forward, right
+    velocity_m_s: tuple | None = None  # horizontal: forward, right; the same again and again counts as no report
     tilt_rad: tuple | None = None  # its own estimate of roll, pitch
     height_m: float | None = None  # above any fixed level
     climb_m_s: float | None = None
