@@ -1,4 +1,4 @@
-"""Pytest set-up of all tests: two tiers, the second one only with --all; and no time limits for hypothesis."""
+"""Pytest set-up of all tests: two tiers, the second only with --all; seeds; and no time limits for hypothesis."""
 
 import gc
 
@@ -16,6 +16,7 @@ settings.register_profile(SECOND, max_examples=1000, **NO_STOPWATCH)
 
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="also what is marked `release`, and fuzzers try more")
+    parser.addoption("--pass", type=int, default=1, dest="number", help="of `./maap test --repeat`: see `seed`")
 
 
 def pytest_configure(config):
@@ -37,6 +38,12 @@ def pytest_collection():
 def inputs(request):
     """inputs(few, many): how many inputs a fuzzer tries; many with --all."""
     return lambda few, many: many if request.config.getoption("all") else few
+
+
+@pytest.fixture(scope="session")
+def seed(request):
+    """seed(usual): a seed for what must hold whatever the seed: the usual one, and another in each pass of --repeat."""
+    return lambda usual: usual + 1000 * (request.config.getoption("number") - 1)
 
 
 @pytest.hookimpl(trylast=True)  # what -k and -m leave out is not counted

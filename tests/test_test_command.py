@@ -30,6 +30,10 @@ def test_second(number):
 def test_fuzz(inputs):
     assert inputs(5, 50) == %d
 """
+SEEDED = """
+def test_seed(seed):
+    assert (seed(3), seed(4)) == (%d, %d)
+"""
 PACKAGE = """<package format="2"><name>toy</name><version>1.0.0</version><description>Toy</description>
 <maintainer email="a@b.eu">A</maintainer><license>BSD</license><buildtool_depend>catkin</buildtool_depend></package>
 """
@@ -83,6 +87,12 @@ def test_the_second_tier_is_left_out_and_counted(tmp_path, side_by_side):
 def test_what_a_pattern_leaves_out_is_not_counted(tmp_path):
     done = run_pytest(tmp_path, TOY % 5, "-k", "fuzz or second[1]")
     assert "1 passed" in done.stdout and re.search(r"^1 .*--all", done.stdout, re.MULTILINE), done.stdout
+
+
+def test_each_pass_has_seeds_of_its_own(tmp_path):
+    for options, seeds in (((), (3, 4)), (("--pass", "1"), (3, 4)), (("--pass", "3"), (2003, 2004))):
+        done = run_pytest(tmp_path, SEEDED % seeds, *options)
+        assert done.returncode == 0, done.stdout
 
 
 def test_a_marker_that_is_misspelt_is_an_error(tmp_path):
@@ -157,6 +167,20 @@ def test_a_command_on_its_way_builds_only_what_has_changed(workspace):
 def test_the_second_tier_gets_its_ground_stations_and_nothing_else_changes(workspace):
     asked = first_asked(workspace, "--all")
     assert asked.startswith("install") and "--no-deps" in asked and asked.endswith("requirements-all.txt")
+
+
+def test_each_pass_is_told_its_number(workspace):
+    """In a workspace where nothing has to be built."""
+    (workspace / ".venv/bin/python").write_text('#!/bin/sh\necho "$@" >>"%s"\n' % (workspace / "asked"))
+    for name in ("src", "devel"):
+        (workspace / name).mkdir()
+    (workspace / "devel/setup.bash").touch()
+    for name in ("build", "build-tests"):
+        (workspace / ("devel/.made_" + name)).write_text(str(workspace))
+    command = [str(workspace / "maap"), "test", "lqr", "--repeat", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert re.findall(r"-k lqr .*--pass (\d+)", (workspace / "asked").read_text()) == ["1", "2"]
 
 
 @pytest.fixture(scope="module")

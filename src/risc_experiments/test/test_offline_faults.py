@@ -25,12 +25,14 @@ CLEAN = Flight(vehicles=1, seed=3, duration_s=3.0)
 
 
 @pytest.fixture(scope="module")
-def clean():
-    return fly(CLEAN)
+def clean(seed):
+    return with_faults(seed=seed(CLEAN.seed))
 
 
-def flown(*faults):
-    return fly(dataclasses.replace(CLEAN, wire_faults=faults))
+@pytest.fixture
+def flown(seed):
+    """Function that flies as `clean`, with faults."""
+    return lambda *faults: with_faults(seed=seed(CLEAN.seed), wire_faults=faults)
 
 
 @pytest.mark.parametrize(
@@ -41,22 +43,21 @@ def flown(*faults):
     ],
     ids=lambda f: f.fault,
 )
-def test_a_flight_bears_them_and_a_seed_repeats_it(clean, fault):
+def test_a_flight_bears_them_and_a_seed_repeats_it(clean, flown, fault):
     first, again = flown(fault), flown(fault)
     np.testing.assert_array_equal(first.actual_m, again.actual_m)
     assert not np.array_equal(first.actual_m, clean.actual_m)
     assert first.rmse_m[0] < 0.1
 
 
-def test_late_frames_are_known_to_be_late_and_late_commands_are_not(clean):
-    frames, commands = (
-        flown(FaultEvent("delay", channel=channel, severity=0.08)) for channel in ("cortex/stream", "*/commands")
-    )
+def test_late_frames_are_known_to_be_late_and_late_commands_are_not():
+    late = [(FaultEvent("delay", channel=channel, severity=0.08),) for channel in ("cortex/stream", "*/commands")]
+    clean, frames, commands = (with_faults(wire_faults=faults) for faults in ((), *late))
     assert min(frames.rmse_m[0], commands.rmse_m[0]) > 1.3 * clean.rmse_m[0]
     assert frames.safety and not commands.safety
 
 
-def test_a_hole_in_the_stream_is_seen_by_the_failsafe(clean):
+def test_a_hole_in_the_stream_is_seen_by_the_failsafe(clean, flown):
     assert clean.safety == ()
     hole = flown(FaultEvent("blackhole", channel="cortex/stream", start_s=5.0, duration_s=0.3))
     assert hole.safety and 5.08 < hole.safety[0][0] < 5.15
@@ -83,8 +84,8 @@ def test_what_became_of_faults_is_told():
     assert result.flown_s < land.start_s + 5.0, "it does not wait for the end when all have landed"
 
 
-def test_until_the_course_is_reached_nothing_happens(clean):
-    result = with_faults("mocap_blackout:0.3@6")
+def test_until_the_course_is_reached_nothing_happens(clean, seed):
+    result = with_faults("mocap_blackout:0.3@6", seed=seed(CLEAN.seed))
     before = result.times_s < result.faults[0].start_s
     np.testing.assert_array_equal(result.actual_m[before], clean.actual_m[: before.sum()])
     assert result.safety and not clean.safety
@@ -104,14 +105,14 @@ def test_a_crash_with_faults_is_told_and_without_them_raised():
 
 
 @pytest.mark.parametrize("hold_s", [None, 0.2])
-def test_vehicles_hold_in_time_when_motion_capture_is_lost(hold_s):
+def test_vehicles_hold_in_time_when_motion_capture_is_lost(hold_s, seed):
     """The p99 of 102 reactions, as tests/benchmarks/faults.py measures the whole graph.
 
     The control arm waits longer, for states and for commands: both stop with the frames, and either makes it hold.
     """
     node = {} if hold_s is None else {"state_hold_s": hold_s, "controls_hold_s": hold_s}
-    events = tuple(FaultEvent(**fields) for fields in script("mocap_blackout:0.3", 34, seed=1)["faults"])
-    result = fly(Flight("circles3", seed=1, duration_s=events[-1].start_s - 2.0, faults=events, node=node))
+    events = tuple(FaultEvent(**fields) for fields in script("mocap_blackout:0.3", 34, seed(1))["faults"])
+    result = fly(Flight("circles3", seed=seed(1), duration_s=events[-1].start_s - 2.0, faults=events, node=node))
     assert {fault.outcome for fault in result.faults} == {"completed"}
     reactions_ms = []
     for begin_s in (fault.start_s + LATENCY_S for fault in result.faults):  # by the nodes' clock, as the levels
@@ -154,15 +155,15 @@ def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, 
 
 
 @pytest.mark.parametrize("kind", ["ardrone", "iris"])
-def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
+def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch, seed):
     """A ladder can notice that only by a controller that commands more and more, and cannot help. The vehicle's own
     watchdog lands it: an AR.Drone's after 1 s; on an IRIS+, the failsafe of the radio.
     """
     lost = "blackhole:channel=risc1/commands,duration_s=15@1"
     flying = {"types": (kind,), "duration_s": 6.0}
-    result = with_faults(lost, **flying)
+    result = with_faults(lost, seed=seed(CLEAN.seed), **flying)
     assert result.landed == (True,) and not result.breaches
-    assert {said.rule for said in result.levels} <= {Rule.CONTROLS}
+    assert {said.rule for said in result.levels if said.level} <= {Rule.CONTROLS}
     # the control arm: no watchdog
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", math.inf)
     monkeypatch.setattr("risc_simulator.vehicles.iris.offline.FAILSAFE_S", math.inf)
@@ -171,7 +172,10 @@ def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
 
 @pytest.mark.parametrize(("watchdog_s", "outcome"), [(1.0, "landed"), (2.0, "breach")])
 def test_a_dead_link_ends_inside_the_net_although_it_dies_while_the_vehicle_brakes(watchdog_s, outcome, monkeypatch):
-    """com_watchdog is 1 s, not the SDK's 2 s: that is how long the aircraft keeps the tilt with which it brakes."""
+    """com_watchdog is 1 s, not the SDK's 2 s: that is how long the aircraft keeps the tilt with which it brakes.
+
+    That helps, but is not always enough: with 1 s, 12 of the seeds 1 to 30 land, with 2 s none.
+    """
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", watchdog_s)
     faults = tuple(map(parse_fault, ("mocap_blackout:0.3@3", "link_blackhole:5,risc1@3.2")))
     result = fly(Flight("circle", vehicles=1, seed=1, duration_s=8.0, faults=faults))
@@ -179,12 +183,13 @@ def test_a_dead_link_ends_inside_the_net_although_it_dies_while_the_vehicle_brak
 
 
 @pytest.mark.parametrize("lands", [True, False])
-def test_states_that_are_always_a_little_too_late_end_a_flight(lands):
+def test_states_that_are_always_a_little_too_late_end_a_flight(lands, seed):
     """If they only held during the delay, three vehicles would all return to their places on the circle at once, and
     meet in its middle. The separation rule, which would stop them as well, is off here.
     """
     node = {"separation_m": 0.0, **({} if lands else {"state_land_s": 60.0})}
-    result = fly(Flight(vehicles=3, duration_s=6.0, faults=(parse_fault("delay:0.0941,duration_s=2.2@2"),), node=node))
+    fault, chosen = parse_fault("delay:0.0941,duration_s=2.2@2"), seed(1) if lands else 1
+    result = fly(Flight(vehicles=3, seed=chosen, duration_s=6.0, faults=(fault,), node=node))
     assert [outcome.outcome for outcome in result.faults] == ["landed" if lands else "breach"]
     assert bool(result.contacts) is not lands
 
@@ -200,15 +205,15 @@ def test_who_was_out_of_reach_stops_before_it_lands(brakes, monkeypatch):
     assert [outcome.outcome for outcome in result.faults] == ["landed" if brakes else "breach"]
 
 
-def test_the_kalman_filter_survives_08_s_without_frames(inputs):
+def test_the_kalman_filter_survives_08_s_without_frames(inputs, seed):
     """On each course, at a place that depends on the seed, with another heading; the baseline estimator lands."""
     fault = parse_fault("mocap_blackout:0.8@3")
-    for seed in range(1, inputs(3, 200) + 1):
-        course, heading_deg = ("circle", "flat8", "slanted8")[seed % 3], YAW_BY_SEED_DEG * seed
-        flight = Flight(course, seed=seed, psi_deg=heading_deg, duration_s=6.0, estimator="ekf", faults=(fault,))
+    for number in map(seed, range(1, inputs(3, 200) + 1)):
+        course, heading_deg = ("circle", "flat8", "slanted8")[number % 3], YAW_BY_SEED_DEG * number
+        flight = Flight(course, seed=number, psi_deg=heading_deg, duration_s=6.0, estimator="ekf", faults=(fault,))
         result = fly(flight)
-        assert [outcome.outcome for outcome in result.faults] == ["completed"], seed
-        assert result.max_m.max() < 0.15, seed
-        if seed < 4:
+        assert [outcome.outcome for outcome in result.faults] == ["completed"], number
+        assert result.max_m.max() < 0.15, number
+        if number < 4:
             baseline = fly(dataclasses.replace(flight, estimator="least_squares"))
-            assert [outcome.outcome for outcome in baseline.faults] == ["landed"], seed
+            assert [outcome.outcome for outcome in baseline.faults] == ["landed"], number

@@ -75,9 +75,10 @@ def believe_all(monkeypatch, **params):
         more(freeze, Rule.STATE, "iris"),
     ],
 )
-def test_a_lie_that_lasts_lands_the_vehicle(lie, rule, kind, monkeypatch):
+def test_a_lie_that_lasts_lands_the_vehicle(lie, rule, kind, monkeypatch, seed):
     monkeypatch.setattr(offline, "MocapCameras", lambda *a, **k: LyingCameras(lie, *a, **k))
-    flight = dataclasses.replace(FLIGHT, trajectory="circles3", duration_s=2.0, types=(kind,) * 2)
+    usual = dataclasses.replace(FLIGHT, trajectory="circles3", duration_s=2.0, types=(kind,) * 2)
+    flight = dataclasses.replace(usual, seed=seed(FLIGHT.seed))
     assert fly(flight).landed[0]
     believe_all(monkeypatch)
     result = fly(flight)
@@ -86,17 +87,18 @@ def test_a_lie_that_lasts_lands_the_vehicle(lie, rule, kind, monkeypatch):
     assert said[0][0] is FailsafeLevel.HOLD and (FailsafeLevel.LAND, rule) in said, said
     believe_all(monkeypatch, frozen_frames=0)
     with pytest.raises(RuntimeError, match="net|collided|floor"):
-        fly(dataclasses.replace(flight, node={"ladder": False}))
+        fly(dataclasses.replace(usual, node={"ladder": False}))
 
 
 @pytest.mark.parametrize("lie", [flip, exchange])
-def test_a_short_one_is_held_through(lie, monkeypatch):
+def test_a_short_one_is_held_through(lie, monkeypatch, seed):
     monkeypatch.setattr(offline, "MocapCameras", lambda *a, **k: LyingCameras(lie, *a, **k))
     monkeypatch.setattr("%s.LIES_S" % __name__, (6.0, 6.05))
-    refusing = fly(FLIGHT)
+    flight = dataclasses.replace(FLIGHT, seed=seed(FLIGHT.seed))
+    refusing = fly(flight)
     assert not refusing.safety and refusing.rmse_m.max() < 0.03
     believe_all(monkeypatch)
-    result = fly(FLIGHT)
+    result = fly(flight)
     assert not any(result.landed) and result.rmse_m.max() < 0.03
     levels = [said.level for said in result.levels]
     assert FailsafeLevel.HOLD in levels and levels[-1] is FailsafeLevel.OK
@@ -106,7 +108,7 @@ def test_a_short_one_is_held_through(lie, monkeypatch):
     ("kind", "estimator"),
     [("ardrone", "least_squares"), ("iris", "thesis"), more("ardrone", "thesis"), more("iris", "least_squares")],
 )
-def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
+def test_the_truth_is_never_suspected(kind, estimator, monkeypatch, seed):
     """With gusts and a third of the frames lost."""
     looks = []
 
@@ -119,7 +121,7 @@ def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
     monkeypatch.setattr(offline, "Plausibility", Watched)
     lost = FaultEvent("drop", severity=0.3, channel="cortex/stream")
     options = {"gusts": True, "types": (kind,) * 2, "estimator": estimator, "wire_faults": (lost,)}
-    fly(Flight("slanted8", vehicles=2, seed=2, duration_s=5.0, **options))
+    fly(Flight("slanted8", vehicles=2, seed=seed(2), duration_s=5.0, **options))
     assert len(looks) > 1000 and all(looks)
 
 
