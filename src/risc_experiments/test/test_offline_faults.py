@@ -194,23 +194,25 @@ def test_states_that_are_always_a_little_too_late_end_a_flight(lands, seed):
     assert bool(result.contacts) is not lands
 
 
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_who_was_out_of_reach_stops_before_it_lands(number, monkeypatch, seed):
+def test_who_was_out_of_reach_stops_before_it_lands(monkeypatch, seed):
     """It kept its last tilt, and is fast when the order to land arrives (com_watchdog 2 s). In the control arm it lands
-    at once, and goes farther.
+    at once, and goes farther: four vehicles together, since one may have been slow.
     """
     monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", 2.0)
-    fault, way_m = parse_fault("link_blackhole:1.5,risc1@4"), []
+    fault, ways_m = parse_fault("link_blackhole:1.5,risc1@4"), []
     for brakes in (True, False):
         if not brakes:
             monkeypatch.setattr(VehiclePilot, "_brakes", lambda self, now_s: False)
-        chosen = {"seed": seed(number), "psi_deg": YAW_BY_SEED_DEG * seed(number)}
-        result = fly(Flight("circle", vehicles=1, duration_s=8.0, speed="1.3x", faults=(fault,), **chosen))
-        (outcome,) = result.faults
-        back = np.searchsorted(result.times_s, outcome.start_s + 1.5)
-        way_m.append(np.hypot(*(result.actual_m[-1, 0, :2] - result.actual_m[back, 0, :2])))
-        assert outcome.outcome == "landed"
-    assert way_m[0] < way_m[1]
+        ways_m.append(0.0)
+        for number in map(seed, (1, 2, 3, 4)):
+            heading_deg = YAW_BY_SEED_DEG * number
+            flight = Flight("circle", 1, number, 8.0, psi_deg=heading_deg, speed="1.3x", faults=(fault,))
+            result = fly(flight)
+            (outcome,) = result.faults
+            assert outcome.outcome == "landed", number
+            back = np.searchsorted(result.times_s, outcome.start_s + 1.5)
+            ways_m[-1] += np.hypot(*(result.actual_m[-1, 0, :2] - result.actual_m[back, 0, :2]))
+    assert ways_m[0] < 0.9 * ways_m[1]
 
 
 @pytest.mark.parametrize("brakes", [True, False])
