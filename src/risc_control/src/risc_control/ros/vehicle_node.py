@@ -99,7 +99,7 @@ class VehicleNode:
         others = [vehicle for vehicle in everybody if vehicle.template not in self._by_name]
         # until when it counts that another node holds or lands its vehicle
         self._held_until_s = {vehicle.template: -math.inf for vehicle in others}
-        self._stand_until_s = dict(self._held_until_s)  # the same of vehicles that report that they stand
+        self._stand_until_s = dict(self._held_until_s)  # and that its vehicle reports that it stands
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
             kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
